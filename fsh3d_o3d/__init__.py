@@ -1,0 +1,1 @@
+"""Point clouds and meshes as spherical harmonics, in Open3D."""

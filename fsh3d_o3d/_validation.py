@@ -1,0 +1,143 @@
+"""Checks at the public boundary (private): which argument, what was expected, what was given, what to do."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any, SupportsIndex, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsh3d_o3d.errors import MemoryEstimateError
+
+FloatArray = NDArray[np.floating[Any]]
+Float64Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MAXIMUM_BANDWIDTH = 4096
+_DEFAULT_MEMORY_LIMIT = 16 * 2**30
+
+
+def integer(value: object, name: str, *, minimum: int, maximum: int | None = None) -> int:
+    """Return ``value`` as an int within [minimum, maximum]; bools and floats are refused."""
+    if isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"{name} must be an integer, got {value!r}")
+    try:
+        number = operator.index(cast(SupportsIndex, value))
+    except TypeError:
+        raise TypeError(f"{name} must be an integer, got {type(value).__name__} {value!r}") from None
+    if number < minimum or (maximum is not None and number > maximum):
+        bounds = f"at least {minimum}" if maximum is None else f"between {minimum} and {maximum}"
+        raise ValueError(f"{name} must be {bounds}, got {number}")
+    return number
+
+
+def bandwidth(value: object, name: str = "bandwidth") -> int:
+    """Return a bandwidth: degrees 0 … bandwidth − 1."""
+    return integer(value, name, minimum=1, maximum=MAXIMUM_BANDWIDTH)
+
+
+def number(
+    value: object, name: str, *, minimum: float = -np.inf, maximum: float = np.inf, exclusive: bool = False
+) -> float:
+    """Return ``value`` as a finite float within the bounds (``exclusive`` leaves the minimum out)."""
+    try:
+        result = float(cast(Any, value))
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be a number, got {type(value).__name__} {value!r}") from None
+    if not np.isfinite(result):
+        raise ValueError(f"{name} must be finite, got {result}")
+    if result < minimum or result > maximum or (exclusive and result <= minimum):
+        sign = ">" if exclusive else ">="
+        upper = "" if maximum == np.inf else f" and <= {maximum:g}"
+        raise ValueError(f"{name} must be {sign} {minimum:g}{upper}, got {result:g}")
+    return result
+
+
+def choice(value: object, name: str, choices: tuple[str, ...]) -> str:
+    """Return ``value`` if it is one of ``choices``."""
+    if not isinstance(value, str) or value not in choices:
+        raise ValueError(f"{name} must be one of {', '.join(map(repr, choices))}, got {value!r}")
+    return value
+
+
+def real_array(value: object, name: str, *, finite: bool = True) -> FloatArray:
+    """Return ``value`` as a float32 or float64 array; everything else real becomes float64."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiub":
+        raise TypeError(f"{name} must be an array of real numbers, got dtype {array.dtype}")
+    if array.dtype not in (np.float32, np.float64):
+        array = array.astype(np.float64)
+    if finite and not np.isfinite(array).all():
+        bad = int(array.size - np.count_nonzero(np.isfinite(array)))
+        raise ValueError(f"{name} must be finite, got {bad} NaN or infinite of {array.size} values")
+    return cast(FloatArray, array)
+
+
+def values_on(value: object, name: str, count: int, symbol: str = "n") -> FloatArray:
+    """Return a (…, count) array of finite reals."""
+    array = real_array(value, name)
+    if array.ndim == 0 or array.shape[-1] != count:
+        raise ValueError(f"{name} must have shape (…, {symbol}) = (…, {count}), got {array.shape}")
+    return array
+
+
+def vectors(value: object, name: str, *, minimum: int = 1, finite: bool = True) -> Float64Array:
+    """Return an (n, 3) float64 array."""
+    array = real_array(value, name, finite=finite)
+    if array.ndim != 2 or array.shape[1] != 3 or array.shape[0] < minimum:
+        raise ValueError(f"{name} must have shape (n, 3) with n >= {minimum}, got {array.shape}")
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def point(value: object, name: str) -> Float64Array:
+    """Return a (3,) float64 array."""
+    array = real_array(value, name)
+    if array.shape != (3,):
+        raise ValueError(f"{name} must have shape (3,), got {array.shape}")
+    return np.array(array, dtype=np.float64)
+
+
+def directions(value: object, name: str = "directions") -> Float64Array:
+    """Return an (n, 3) float64 array of unit vectors; lengths off by more than 1e-6 are refused."""
+    array = vectors(value, name)
+    length = np.linalg.norm(array, axis=1)
+    worst = float(np.abs(length - 1).max())
+    if worst > 1e-6:
+        raise ValueError(
+            f"{name} must be unit vectors (n, 3), but lengths lie in [{length.min():g}, {length.max():g}]; "
+            "divide by the norm first"
+        )
+    return cast(Float64Array, array / length[:, None])
+
+
+def coefficients(value: object, name: str = "coefficients") -> tuple[FloatArray, int]:
+    """Return a (…, b²) array and b."""
+    array = real_array(value, name)
+    size = array.shape[-1] if array.ndim else 0
+    b = int(np.sqrt(size) + 0.5)
+    if size == 0 or b * b != size:
+        raise ValueError(
+            f"{name} must have shape (…, b²) with a square number of coefficients last, got {array.shape}"
+        )
+    return array, b
+
+
+def memory(estimate: float, what: str, limit: float = _DEFAULT_MEMORY_LIMIT) -> None:
+    """Refuse a request whose estimated memory in bytes exceeds ``limit`` (and what the machine has free)."""
+    limit = min(limit, _available_memory())
+    if estimate > limit:
+        raise MemoryEstimateError(
+            f"{what} needs about {estimate / 2**30:.1f} GiB, more than the {limit / 2**30:.1f} GiB allowed here"
+        )
+
+
+def _available_memory() -> float:
+    try:
+        with open("/proc/meminfo", encoding="ascii") as file:  # noqa: PTH123 - a device, not a path
+            for line in file:
+                if line.startswith("MemAvailable:"):
+                    return 1024.0 * int(line.split()[1])
+    except OSError:
+        pass
+    return float("inf")
