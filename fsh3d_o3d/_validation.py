@@ -117,9 +117,7 @@ def coefficients(value: object, name: str = "coefficients") -> tuple[FloatArray,
     size = array.shape[-1] if array.ndim else 0
     b = int(np.sqrt(size) + 0.5)
     if size == 0 or b * b != size:
-        raise ValueError(
-            f"{name} must have shape (…, b²) with a square number of coefficients last, got {array.shape}"
-        )
+        raise ValueError(f"{name} must have shape (…, b²) with a square number of coefficients last, got {array.shape}")
     return array, b
 
 

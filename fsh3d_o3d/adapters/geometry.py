@@ -67,9 +67,7 @@ class PointArrays:
                 continue
             array = np.array(value, dtype=np.float64, order="C")
             if array.shape != self.points.shape:
-                raise GeometryError(
-                    f"{name} must have shape {self.points.shape} like the points, got {array.shape}"
-                )
+                raise GeometryError(f"{name} must have shape {self.points.shape} like the points, got {array.shape}")
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
@@ -104,9 +102,7 @@ def geometry_arrays(geometry: Any) -> tuple[MeshArrays | PointArrays, GeometryKi
             "legacy",
         )
     if isinstance(geometry, o3d.t.geometry.TriangleMesh):
-        return MeshArrays(
-            _tensor(geometry.vertex, "positions"), _tensor(geometry.triangle, "indices")
-        ), "tensor"
+        return MeshArrays(_tensor(geometry.vertex, "positions"), _tensor(geometry.triangle, "indices")), "tensor"
     if isinstance(geometry, o3d.t.geometry.PointCloud):
         normals = _tensor(geometry.point, "normals") if "normals" in geometry.point else None
         colors = _tensor(geometry.point, "colors") if "colors" in geometry.point else None
@@ -126,7 +122,7 @@ def open3d_mesh(
     normals: Float64Array | None = None,
     colors: Float64Array | None = None,
 ) -> Any:
-    """Return a mesh as a legacy or tensor ``TriangleMesh``; ``normals``, ``colors`` are per vertex, (v, 3)."""
+    """Return a mesh as a legacy or tensor ``TriangleMesh``; ``normals``, ``colors`` per vertex (v, 3)."""
     o3d = open3d()
     if kind == "legacy":
         legacy = o3d.geometry.TriangleMesh(

@@ -1,1 +1,1 @@
-"""report"""
+"""Thumbnails and HTML pages that work offline."""

@@ -1,1 +1,1 @@
-"""shapes"""
+"""Shapes as immutable values: coefficients and what is needed to come back."""
