@@ -1,1 +1,12 @@
-"""Point clouds and meshes as spherical harmonics, in Open3D."""
+"""Point clouds and meshes as spherical harmonics, in Open3D.
+
+    >>> import fsh3d_o3d as fsh
+    >>> transform = fsh.SphericalHarmonicTransform(bandwidth=32)
+    >>> coefficients = transform.forward(transform.grid.directions[:, 2])
+"""
+
+from fsh3d_o3d._version import __version__
+from fsh3d_o3d.sphere import *  # noqa: F403 - its __all__ is the list of public names
+from fsh3d_o3d.sphere import __all__ as _sphere
+
+__all__ = ["__version__", *_sphere]  # noqa: PLE0604

@@ -1,0 +1,46 @@
+"""How many threads a call may use (private)."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+from threadpoolctl import threadpool_limits
+
+from fsh3d_o3d import _validation as check
+
+Result = TypeVar("Result")
+
+
+def resolve_threads(threads: int | None) -> int:
+    """Return ``threads``, or where it is None what the process may use: its affinity, capped by OMP_NUM_THREADS."""
+    if threads is not None:
+        return check.integer(threads, "threads", minimum=1, maximum=1024)
+    try:
+        available = len(os.sched_getaffinity(0))
+    except AttributeError:  # not Linux
+        available = os.cpu_count() or 1
+    with contextlib.suppress(ValueError):
+        available = min(available, max(1, int(os.environ.get("OMP_NUM_THREADS", available))))
+    return available
+
+
+@contextlib.contextmanager
+def blas_threads(threads: int | None) -> Iterator[None]:
+    """Limit BLAS to ``threads`` within the block; None leaves it as the caller set it."""
+    if threads is None:
+        yield
+    else:
+        with threadpool_limits(threads, "blas"):
+            yield
+
+
+def run_all(jobs: Sequence[Callable[[], Result]], threads: int) -> list[Result]:
+    """Run jobs that release the GIL, at most ``threads`` at a time; results in the order of the jobs."""
+    if threads == 1 or len(jobs) == 1:
+        return [job() for job in jobs]
+    with ThreadPoolExecutor(min(threads, len(jobs))) as pool:
+        return list(pool.map(lambda job: job(), jobs))

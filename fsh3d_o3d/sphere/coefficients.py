@@ -1,0 +1,85 @@
+"""What is done to coefficients: energies, truncation, filtering by degree.
+
+Coefficients are (…, b²) arrays of orthonormal real harmonics, index l² + l + m.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fsh3d_o3d import _validation as check
+from fsh3d_o3d._validation import Float64Array, FloatArray
+from fsh3d_o3d.sphere.harmonics import degrees_and_orders
+
+__all__ = [
+    "degree_energies",
+    "filter_coefficients",
+    "heat_filter",
+    "ideal_filter",
+    "lanczos_filter",
+    "truncate",
+]
+
+
+def degree_energies(coefficients: object) -> FloatArray:
+    """Return the norm of each degree, √Σ_m c(l, m)²: (…, b²) → (…, b). Rotation leaves it unchanged.
+
+    Raises:
+        ValueError: The last axis is not a square number, or values are not finite.
+    """
+    values, b = check.coefficients(coefficients)
+    starts = np.arange(b) ** 2
+    # Scaled first, so that squares neither overflow nor vanish.
+    largest = np.abs(values).max(axis=-1, keepdims=True, initial=0.0)
+    largest[largest == 0] = 1
+    energies = np.sqrt(np.add.reduceat((values / largest) ** 2, starts, axis=-1)) * largest
+    return np.asarray(energies, dtype=values.dtype)
+
+
+def truncate(coefficients: object, bandwidth: int) -> FloatArray:
+    """Return the coefficients of degree < ``bandwidth``, a copy: (…, b²) → (…, bandwidth²).
+
+    Raises:
+        ValueError: There are fewer degrees than that.
+    """
+    values, b = check.coefficients(coefficients)
+    kept = check.integer(bandwidth, "bandwidth", minimum=1, maximum=b)
+    return values[..., : kept * kept].copy()
+
+
+def filter_coefficients(coefficients: object, gain_per_degree: object) -> FloatArray:
+    """Multiply each degree by a gain: (…, b²), (b,) → (…, b²).
+
+    Args:
+        coefficients: (…, b²).
+        gain_per_degree: (b,) gains, for example from ``heat_filter``, or a function of the degrees (an int64 array).
+
+    Raises:
+        ValueError: Not one finite gain a degree.
+    """
+    values, b = check.coefficients(coefficients)
+    given = gain_per_degree(np.arange(b)) if callable(gain_per_degree) else gain_per_degree
+    gains = check.real_array(given, "gain_per_degree")
+    if gains.shape != (b,):
+        raise ValueError(f"gain_per_degree must have shape (b,) = ({b},), got {gains.shape}")
+    degree, _ = degrees_and_orders(b)
+    return values * gains.astype(values.dtype)[degree]
+
+
+def ideal_filter(bandwidth: int, cutoff: int) -> Float64Array:
+    """Gains that keep degrees below ``cutoff`` and drop the rest, (b,). Rings at sharp features."""
+    b = check.bandwidth(bandwidth)
+    return (np.arange(b) < check.integer(cutoff, "cutoff", minimum=0)).astype(np.float64)
+
+
+def heat_filter(bandwidth: int, time: float) -> Float64Array:
+    """Gains of the heat kernel (the Gaussian on the sphere), exp(−t l(l+1)), (b,); no ringing (Bülow 2004)."""
+    b = check.bandwidth(bandwidth)
+    degree = np.arange(b)
+    return np.asarray(np.exp(-check.number(time, "time", minimum=0.0) * degree * (degree + 1.0)))
+
+
+def lanczos_filter(bandwidth: int) -> Float64Array:
+    """Lanczos σ factors sin(πl/b)/(πl/b), (b,): less ringing for a little sharpness."""
+    b = check.bandwidth(bandwidth)
+    return np.asarray(np.sinc(np.arange(b) / b))

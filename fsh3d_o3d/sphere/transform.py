@@ -1,0 +1,173 @@
+"""The spherical harmonic transform on a grid: plan once, transform many times."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+import numpy as np
+
+from fsh3d_o3d import _validation as check
+from fsh3d_o3d._validation import Float64Array, FloatArray
+from fsh3d_o3d.sphere.analytic_weights import WeightSolution, analytic_weights
+from fsh3d_o3d.sphere.engines import EngineName, EnginePair
+from fsh3d_o3d.sphere.grids import SphericalGrid, default_size, fibonacci_grid, grid_from_directions
+from fsh3d_o3d.sphere.least_squares import solve_least_squares
+from fsh3d_o3d.sphere.nufft_engine import synthesise_gradient
+
+__all__ = ["SphericalHarmonicTransform", "evaluate", "evaluate_gradient"]
+
+Analysis = Literal["quadrature", "least_squares"]
+
+
+class SphericalHarmonicTransform:
+    """A plan for transforms between n samples on a grid and the b² coefficients of degree < b.
+
+    ``forward`` is quadrature, f̂ = Σ_j w_j f(ω_j) Y(ω_j) (Eq. 12 in our normalisation), exact for functions of degree < b
+    when the weights meet Eq. (8). With ``analysis="least_squares"`` it is the least-squares fit instead, exact for them on
+    any grid that determines them; the weights only precondition it. ``inverse`` is synthesis. A plan may be used from
+    several threads.
+
+    Args:
+        bandwidth: b; degrees 0 … b − 1.
+        grid: Where functions are sampled; the Fibonacci grid of 6b² points if not given.
+        weights: (n,) quadrature weights summing to 4π, or a ``WeightSolution``; the analytic weights if not given (equal
+            weights for least squares).
+        engine: ``"dense"`` (matrices, exact to rounding), ``"nufft"`` (fast transforms, 1e-13), or ``"auto"``: by size.
+        analysis: ``"quadrature"`` or ``"least_squares"``.
+        threads: Number of threads, or None for all that the process may use. Does not change results.
+
+    Raises:
+        TypeError, ValueError: An argument is of the wrong type, out of range, or of the wrong shape.
+        MemoryEstimateError: The transform would not fit in memory.
+    """
+
+    def __init__(
+        self,
+        bandwidth: int,
+        grid: SphericalGrid | None = None,
+        weights: object | None = None,
+        engine: EngineName = "auto",
+        *,
+        analysis: Analysis = "quadrature",
+        threads: int | None = None,
+    ) -> None:
+        self._bandwidth = check.bandwidth(bandwidth)
+        if grid is not None and not isinstance(grid, SphericalGrid):
+            raise TypeError(f"grid must be a SphericalGrid, got {type(grid).__name__}; see grid_from_directions")
+        self._analysis = check.choice(analysis, "analysis", ("quadrature", "least_squares"))
+        self._threads = None if threads is None else check.integer(threads, "threads", minimum=1, maximum=1024)
+        self._grid = fibonacci_grid(default_size(self._bandwidth)) if grid is None else grid
+        if weights is None and analysis == "least_squares":
+            weights = np.full(len(self._grid), 4 * np.pi / len(self._grid))
+        elif weights is None:
+            weights = analytic_weights(self._grid, self._bandwidth, threads=threads)
+        if isinstance(weights, WeightSolution):
+            weights = weights.weights
+        self._weights = np.array(check.values_on(weights, "weights", len(self._grid)), dtype=np.float64)
+        if self._weights.ndim != 1:
+            raise ValueError(f"weights must have shape (n,) = ({len(self._grid)},), got {self._weights.shape}")
+        self._weights.setflags(write=False)
+        self._engines = EnginePair(self._grid, self._bandwidth, self._weights, engine)
+
+    @property
+    def bandwidth(self) -> int:
+        """b: degrees 0 … b − 1."""
+        return self._bandwidth
+
+    @property
+    def grid(self) -> SphericalGrid:
+        """Where functions are sampled."""
+        return self._grid
+
+    @property
+    def weights(self) -> Float64Array:
+        """(n,) quadrature weights, read-only."""
+        return self._weights
+
+    def __repr__(self) -> str:
+        return (
+            f"SphericalHarmonicTransform(bandwidth={self._bandwidth}, grid={self._grid.name} with {len(self._grid)} points, "
+            f"analysis={self._analysis!r})"
+        )
+
+    def forward(self, values: object) -> FloatArray:
+        """Return the coefficients of sampled functions: (…, n) → (…, b²).
+
+        Args:
+            values: (…, n) samples in the order of the grid. float32 stays float32; all else becomes float64.
+
+        Raises:
+            ValueError: Wrong last axis, or values that are not finite.
+        """
+        samples = check.values_on(values, "values", len(self._grid))
+        flat = np.ascontiguousarray(samples.reshape(_leading(samples), len(self._grid)))
+        engine = self._engines.pick(len(flat))
+        if self._analysis == "least_squares":
+            result = solve_least_squares(flat, engine, threads=self._threads).coefficients
+        else:
+            result = engine.analyse(flat, self._threads)
+        return result.reshape(*samples.shape[:-1], self._bandwidth**2)
+
+    def inverse(self, coefficients: object) -> FloatArray:
+        """Return the functions of given coefficients at the grid's points: (…, b²) → (…, n).
+
+        Fewer coefficients than b² are a function of smaller bandwidth; more are an error (see ``truncate``).
+
+        Raises:
+            ValueError: The last axis is not a square number, is more than b², or values are not finite.
+        """
+        given, b = check.coefficients(coefficients)
+        if b > self._bandwidth:
+            raise ValueError(
+                f"coefficients are of bandwidth {b}, the transform of {self._bandwidth}; truncate them first"
+            )
+        flat = np.zeros((_leading(given), self._bandwidth**2), dtype=given.dtype)
+        flat[:, : b * b] = given.reshape(len(flat), b * b)
+        return self._engines.pick(len(flat)).synthesise(flat, self._threads).reshape(*given.shape[:-1], len(self._grid))
+
+
+def evaluate(coefficients: object, directions: object, *, threads: int | None = None) -> FloatArray:
+    """Evaluate functions at any directions: (…, b²), (m, 3) → (…, m).
+
+    Args:
+        coefficients: (…, b²) real coefficients, float32 or float64.
+        directions: (m, 3) unit vectors, or a ``SphericalGrid``.
+        threads: Number of threads, or None for all that the process may use. Does not change the result.
+
+    Raises:
+        ValueError: Wrong shapes, values that are not finite, or directions that are not unit vectors.
+    """
+    given, b = check.coefficients(coefficients)
+    check.bandwidth(b)
+    grid = _as_grid(directions)
+    flat = np.ascontiguousarray(given.reshape(_leading(given), b * b))
+    engine = EnginePair(grid, b).pick(len(flat))
+    return engine.synthesise(flat, threads).reshape(*given.shape[:-1], len(grid))
+
+
+def evaluate_gradient(coefficients: object, directions: object) -> Float64Array:
+    """Evaluate the gradient on the unit sphere of one function: (b²,), (m, 3) → (m, 3), tangent to the sphere.
+
+    Raises:
+        ValueError: Wrong shapes, values that are not finite, or directions that are not unit vectors.
+    """
+    given, b = check.coefficients(coefficients)
+    if given.ndim != 1:
+        raise ValueError(f"coefficients must have shape (b²,), got {given.shape}")
+    grid = _as_grid(directions)
+    southward, eastward = synthesise_gradient(given, b, grid)
+    cos_t, sin_t = np.cos(grid.colatitude), np.sin(grid.colatitude)
+    cos_p, sin_p = np.cos(grid.longitude), np.sin(grid.longitude)
+    south = np.stack([cos_t * cos_p, cos_t * sin_p, -sin_t], axis=1)
+    east = np.stack([-sin_p, cos_p, np.zeros_like(sin_p)], axis=1)
+    return np.asarray(southward[:, None] * south + eastward[:, None] * east, dtype=np.float64)
+
+
+def _as_grid(directions: object) -> SphericalGrid:
+    return directions if isinstance(directions, SphericalGrid) else grid_from_directions(directions)
+
+
+def _leading(array: np.ndarray[Any, Any]) -> int:
+    """Number of functions in (…, n): the product of the leading axes, 1 where there are none."""
+    return math.prod(array.shape[:-1])

@@ -1,0 +1,122 @@
+"""Solved weights, kept in memory and on disk.
+
+A file holds one solution under a name made of everything it depends on, and a checksum of itself; one that does not match is
+solved again. Files are written under a temporary name and renamed, so that processes may share the folder. A folder that
+cannot be written is no error: the weights are then solved each time. ``FSH3D_CACHE_DIR`` moves it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import logging
+import os
+import tempfile
+import threading
+import zipfile
+from collections import OrderedDict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import platformdirs
+
+from fsh3d_o3d.sphere.grids import SphericalGrid
+
+if TYPE_CHECKING:
+    from fsh3d_o3d.sphere.analytic_weights import WeightSolution
+
+__all__ = ["clear_weight_cache", "weight_cache_directory"]
+
+_FORMAT = 1  # raised when the solver changes what it returns
+_MEMORY_BYTES = 256 * 2**20
+_log = logging.getLogger("fsh3d_o3d")
+_lock = threading.Lock()
+_memory: OrderedDict[str, WeightSolution] = OrderedDict()
+
+
+def weight_cache_directory() -> Path:
+    """Return the folder where solved weights are kept; it need not exist."""
+    root = os.environ.get("FSH3D_CACHE_DIR")
+    return (Path(root) if root else platformdirs.user_cache_path("fsh3d_o3d", appauthor=False)) / "weights"
+
+
+def clear_weight_cache() -> int:
+    """Remove every solution from memory and disk; returns the number of files removed."""
+    with _lock:
+        _memory.clear()
+    removed = 0
+    for path in weight_cache_directory().glob("*.npz"):
+        with contextlib.suppress(OSError):
+            path.unlink()
+            removed += 1
+    return removed
+
+
+def weight_key(grid: SphericalGrid, bandwidth: int) -> str:
+    """A name for the solution of one grid and bandwidth."""
+    return f"v{_FORMAT}-b{bandwidth}-n{len(grid)}-{grid.fingerprint[:32]}"
+
+
+def find(key: str, n: int) -> WeightSolution | None:
+    """The solution under a key, from memory or from a file that passes its checksum."""
+    with _lock:
+        if key in _memory:
+            _memory.move_to_end(key)
+            return _memory[key]
+    solution = _read(weight_cache_directory() / f"{key}.npz", n)
+    if solution is not None:
+        _remember(key, solution)
+    return solution
+
+
+def keep(key: str, solution: WeightSolution) -> None:
+    """Put a solution into memory and, if the folder can be written, on disk."""
+    _remember(key, solution)
+    path = weight_cache_directory() / f"{key}.npz"
+    about = {name: value for name, value in vars(solution).items() if name != "weights"}
+    about["sha256"] = _digest(solution.weights, about)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                np.savez(file, weights=solution.weights, about=np.array(json.dumps(about)))
+            Path(temporary).replace(path)
+        except BaseException:
+            Path(temporary).unlink()
+            raise
+    except OSError as error:
+        _log.debug("weights not cached in %s: %s", path.parent, error)
+
+
+def _read(path: Path, n: int) -> WeightSolution | None:
+    from fsh3d_o3d.sphere.analytic_weights import WeightSolution
+
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            weights, about = file["weights"], json.loads(str(file["about"]))
+        digest = about.pop("sha256")
+        if weights.shape != (n,) or weights.dtype != np.float64 or _digest(weights, about) != digest:
+            raise ValueError("checksum differs")
+        weights.setflags(write=False)
+        return WeightSolution(weights=weights, **about)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        _log.warning("ignoring the damaged cache file %s: %s", path, error)
+        return None
+
+
+def _remember(key: str, solution: WeightSolution) -> None:
+    with _lock:
+        _memory[key] = solution
+        _memory.move_to_end(key)
+        while len(_memory) > 1 and sum(kept.weights.nbytes for kept in _memory.values()) > _MEMORY_BYTES:
+            _memory.popitem(last=False)
+
+
+def _digest(weights: np.ndarray[tuple[int], np.dtype[np.float64]], about: dict[str, object]) -> str:
+    text = json.dumps({name: about[name] for name in sorted(about)}, sort_keys=True)
+    return hashlib.sha256(np.ascontiguousarray(weights).tobytes() + text.encode()).hexdigest()
