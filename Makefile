@@ -1,0 +1,33 @@
+# make help lists the targets. Set-up is part of each: nothing has to be installed by hand on Debian or Ubuntu.
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint bench samples clean
+BIN := .venv/bin
+PYTEST_WORKERS ?= 2
+
+help:  ## List the targets
+	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+
+demo:  ## Install what is needed and reconstruct a sample shape
+	@bash tools/bootstrap.sh cpu
+	@$(BIN)/python pipelines/demo.py --output output/demo
+
+test:  ## Run the tests
+	@bash tools/bootstrap.sh cpu,dev
+	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile -q
+
+lint:  ## Check style and types
+	@bash tools/bootstrap.sh cpu,dev
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+bench:  ## Measure accuracy and speed beside peers (minutes)
+	@bash tools/bootstrap.sh cpu,bench
+	@$(BIN)/python -m benchmarks --output output/bench
+
+samples:  ## Generate the sample shapes anew
+	@bash tools/bootstrap.sh cpu
+	@$(BIN)/python samples/generate.py
+
+clean:  ## Remove the environment and everything generated
+	rm -rf .venv output build dist .mypy_cache .ruff_cache .pytest_cache
