@@ -126,13 +126,13 @@ def open3d_mesh(
     o3d = open3d()
     if kind == "legacy":
         legacy = o3d.geometry.TriangleMesh(
-            o3d.utility.Vector3dVector(mesh.vertices),
+            o3d.utility.Vector3dVector(np.array(mesh.vertices)),
             o3d.utility.Vector3iVector(mesh.triangles.astype(np.int32)),
         )
         if normals is not None:
-            legacy.vertex_normals = o3d.utility.Vector3dVector(normals)
+            legacy.vertex_normals = o3d.utility.Vector3dVector(np.array(normals))
         if colors is not None:
-            legacy.vertex_colors = o3d.utility.Vector3dVector(colors)
+            legacy.vertex_colors = o3d.utility.Vector3dVector(np.array(colors))
         return legacy
     tensor = o3d.t.geometry.TriangleMesh()
     tensor.vertex.positions = o3d.core.Tensor(np.array(mesh.vertices))
@@ -148,11 +148,11 @@ def open3d_point_cloud(cloud: PointArrays, kind: GeometryKind = "legacy") -> Any
     """Return a cloud as a legacy or tensor ``PointCloud`` with its normals and colours."""
     o3d = open3d()
     if kind == "legacy":
-        legacy = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points))
+        legacy = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(cloud.points)))
         if cloud.normals is not None:
-            legacy.normals = o3d.utility.Vector3dVector(cloud.normals)
+            legacy.normals = o3d.utility.Vector3dVector(np.array(cloud.normals))
         if cloud.colors is not None:
-            legacy.colors = o3d.utility.Vector3dVector(cloud.colors)
+            legacy.colors = o3d.utility.Vector3dVector(np.array(cloud.colors))
         return legacy
     tensor = o3d.t.geometry.PointCloud()
     tensor.point.positions = o3d.core.Tensor(np.array(cloud.points))

@@ -1,0 +1,132 @@
+"""From a file to arrays, in Python and NumPy alone (private): the table of formats, and the door to it.
+
+No native reader sees the file. The parsers are this package's own because the readers at hand are too lenient for
+untrusted files (a truncated file becomes part of a mesh) or slow to start; trimesh is the second opinion in the tests.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import stat
+import unicodedata
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from fsh3d_o3d.adapters._parse_gltf import parse_glb, parse_gltf
+from fsh3d_o3d.adapters._parse_obj import parse_obj
+from fsh3d_o3d.adapters._parse_off import parse_off
+from fsh3d_o3d.adapters._parse_pcd import parse_pcd
+from fsh3d_o3d.adapters._parse_ply import parse_ply
+from fsh3d_o3d.adapters._parse_points import parse_pts, parse_xyz, parse_xyzn, parse_xyzrgb
+from fsh3d_o3d.adapters._parse_stl import binary_stl_size, parse_stl
+from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
+from fsh3d_o3d.errors import GeometryError, GeometryReadError
+
+PARSERS: dict[str, Callable[[bytes], MeshArrays | PointArrays]] = {
+    ".off": parse_off,
+    ".obj": parse_obj,
+    ".ply": parse_ply,
+    ".stl": parse_stl,
+    ".glb": parse_glb,
+    ".gltf": parse_gltf,
+    ".xyz": parse_xyz,
+    ".xyzn": parse_xyzn,
+    ".xyzrgb": parse_xyzrgb,
+    ".pts": parse_pts,
+    ".pcd": parse_pcd,
+}
+"""A file's extension, and what turns its content into arrays or raises ``GeometryError`` with the reason."""
+
+_SNIFFED = 4096  # bytes
+# In this order; looked for only where the parser that the extension names has failed.
+_SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
+    ("PLY", re.compile(rb"ply[ \t]*[\r\n]")),
+    ("GLB", re.compile(rb"glTF")),
+    ("PNG", re.compile(rb"\x89PNG")),
+    ("JPEG", re.compile(rb"\xff\xd8\xff")),
+    ("PDF", re.compile(rb"%PDF")),
+    ("ZIP", re.compile(rb"PK\x03\x04")),
+    ("GZIP", re.compile(rb"\x1f\x8b")),
+    ("HTML", re.compile(rb"\s*<(!doctype html|html)", re.IGNORECASE)),
+    ("PCD", re.compile(rb"# \.PCD|VERSION[ \t]+\.?\d|FIELDS[ \t]+x")),
+    ("OFF", re.compile(rb"\s*(ST)?C?N?4?n?OFF[\s\d]")),
+    ("GLTF", re.compile(rb'\s*\{(?s:.){0,2000}"(asset|accessors|meshes)"')),
+    ("STL", re.compile(rb"\s*solid\b(?s:.){0,400}\bfacet\b", re.IGNORECASE)),
+    ("OBJ", re.compile(rb"(?s:.){0,3000}?(^|[\r\n])(v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]|mtllib )")),
+)
+
+
+def read_file(path: str) -> MeshArrays | PointArrays:
+    """Return a file as arrays, read in this process.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        GeometryReadError: Everything else, in one line with the file's name.
+    """
+    parser = parser_for(path)
+    data = b""
+    try:
+        data = _content(path)
+        with np.errstate(all="ignore"):  # what is not finite is an error, not a warning
+            return parser(data)
+    except FileNotFoundError:
+        raise FileNotFoundError(errno.ENOENT, "No such file", path) from None
+    except OSError as error:
+        raise read_error(path, error.strerror or str(error)) from None
+    except MemoryError:
+        raise read_error(path, "needs more memory than the reader is allowed") from None
+    except GeometryError as error:
+        raise read_error(path, _with_sniffed(path, data, str(error))) from None
+    except Exception as error:  # what no parser foresaw in a file is the file's fault for the caller all the same
+        raise read_error(path, f"cannot be parsed ({type(error).__name__}: {error})") from error
+
+
+def parser_for(path: str) -> Callable[[bytes], MeshArrays | PointArrays]:
+    """Return the parser that the extension names, whatever its case."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in PARSERS:
+        named = f"{suffix!r} is not a format that is read" if suffix else "the name has no extension"
+        raise read_error(path, f"{named}; readable are {' '.join(PARSERS)}")
+    return PARSERS[suffix]
+
+
+def read_error(path: str, reason: str) -> GeometryReadError:
+    """Return the error for a file: one line of printable characters, whatever its name and content."""
+    return GeometryReadError(_one_line(f"{path}: {reason}"))
+
+
+def _content(path: str) -> bytes:
+    # O_NONBLOCK: opening a pipe that no one writes to would wait for ever. It changes nothing for regular files.
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise GeometryReadError("is not a regular file")
+        with open(descriptor, "rb", closefd=False) as file:
+            data = file.read()
+    finally:
+        os.close(descriptor)
+    if not data.strip(b"\0 \t\r\n"):
+        raise GeometryReadError("the file is empty" if not data else "the file holds nothing but blanks")
+    return data
+
+
+def _with_sniffed(path: str, data: bytes, reason: str) -> str:
+    own = Path(path).suffix[1:].upper()
+    found = next((name for name, signature in _SIGNATURES if signature.match(data[:_SNIFFED])), None)
+    if found is None and len(data) == binary_stl_size(data):
+        found = "STL"
+    if found is None or found == own:
+        return reason
+    return f"the content looks like {found}, not {own} ({reason})"
+
+
+def _one_line(message: str) -> str:
+    def shown(character: str) -> str:
+        hidden = unicodedata.category(character) in {"Cc", "Cf", "Cs", "Zl", "Zp"}
+        return character.encode("unicode_escape", "surrogatepass").decode("ascii") if hidden else character
+
+    return "".join(map(shown, message[:2000]))

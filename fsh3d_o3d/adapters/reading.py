@@ -1,0 +1,68 @@
+"""Files into arrays and Open3D geometry, without trusting them.
+
+Open3D's own readers turn a broken file into an empty mesh, drop quads, read triangle strips as bare points, and are
+native code that a hostile file may crash. Here files are parsed in Python, strictly (a truncated file is an error,
+never part of a mesh), and in a separate process unless told otherwise.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+from typing import Any
+
+from fsh3d_o3d._validation import integer, number
+from fsh3d_o3d.adapters._parsers import PARSERS, parser_for, read_file
+from fsh3d_o3d.adapters._reader_process import ReaderProcess
+from fsh3d_o3d.adapters.geometry import GeometryKind, MeshArrays, PointArrays, open3d_mesh, open3d_point_cloud
+
+READABLE_FORMATS: tuple[str, ...] = tuple(PARSERS)
+"""Extensions that are read."""
+
+_reader = ReaderProcess()
+atexit.register(lambda: _reader.close())
+os.register_at_fork(after_in_child=lambda: _reader.abandon())
+
+
+def read_geometry_arrays(
+    path: str | os.PathLike[str],
+    *,
+    isolated: bool = True,
+    timeout: float = 120.0,
+    memory_limit: int = 8 * 2**30,
+) -> MeshArrays | PointArrays:
+    """Read a mesh or a point cloud from a file.
+
+    Meshes: ``.off .obj .ply .stl .glb .gltf`` (polygons are cut into fans, glTF nodes are placed, STL corners are
+    welded where they are equal to the last bit; other duplicate vertices stay). Points: ``.xyz .xyzn .xyzrgb .pts
+    .pcd`` and ``.ply`` without faces, with normals and colours where the file has them.
+
+    Args:
+        path: The file; its extension names the format.
+        isolated: Parse in a separate process, so that whatever the file does to the parser, the caller lives.
+        timeout: Seconds after which the separate process is stopped.
+        memory_limit: Bytes that reading may take in the separate process.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        GeometryReadError: The file cannot be read: one line that names the file and the reason.
+    """
+    name = os.path.abspath(os.fsdecode(path))  # noqa: PTH100 - resolves no links, and keeps bytes that are not UTF-8
+    timeout = number(timeout, "timeout", minimum=0, exclusive=True)
+    memory_limit = integer(memory_limit, "memory_limit", minimum=2**20)
+    parser_for(name)
+    if not isolated:
+        return read_file(name)
+    return _reader.read(name, timeout=timeout, memory_limit=memory_limit)
+
+
+def read_geometry(path: str | os.PathLike[str], *, tensor: bool = False, isolated: bool = True) -> Any:
+    """Read a file as an Open3D ``TriangleMesh`` or ``PointCloud``, legacy or ``tensor``.
+
+    See ``read_geometry_arrays`` for formats and errors.
+    """
+    geometry = read_geometry_arrays(path, isolated=isolated)
+    kind: GeometryKind = "tensor" if tensor else "legacy"
+    if isinstance(geometry, MeshArrays):
+        return open3d_mesh(geometry, kind)
+    return open3d_point_cloud(geometry, kind)

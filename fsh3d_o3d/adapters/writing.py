@@ -1,0 +1,126 @@
+"""Geometry and other results into files: whole, or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import secrets
+import stat
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fsh3d_o3d._open3d import open3d
+from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d.adapters._serialise import CLOUD_WRITERS, MESH_WRITERS, Surface
+from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays, geometry_arrays
+from fsh3d_o3d.errors import GeometryError
+
+WRITABLE_MESH_FORMATS: tuple[str, ...] = tuple(MESH_WRITERS)
+"""Extensions for meshes."""
+WRITABLE_CLOUD_FORMATS: tuple[str, ...] = tuple(CLOUD_WRITERS)
+"""Extensions for point clouds."""
+
+
+def write_geometry(path: str | os.PathLike[str], geometry: Any) -> None:
+    """Write a mesh or a point cloud; the extension names the format.
+
+    Meshes: ``.ply .obj .off`` (float64), ``.stl .glb`` (float32). Points: ``.ply .xyz`` (float64), ``.pcd`` (float32).
+    Vertex normals and colours are kept where the format has a place for them (``.stl`` has none, ``.xyz`` none for
+    colours); texture coordinates and materials are not written. The file appears under its name only when it is
+    complete; on any error what was there before stays.
+
+    Args:
+        path: The file.
+        geometry: Open3D ``TriangleMesh`` or ``PointCloud``, legacy or tensor, or ``MeshArrays`` or ``PointArrays``.
+
+    Raises:
+        ValueError: Unknown extension, or one that cannot hold this kind of geometry, or coordinates beyond float32 in
+            a format that stores float32.
+        TypeError: Not a geometry.
+        GeometryError: Empty, not finite, or with triangles out of range.
+        OSError: The folder does not exist or cannot be written, the disk is full, the path is a folder or a device.
+    """
+    target = Path(path)
+    suffix = target.suffix.lower()
+    if suffix not in MESH_WRITERS and suffix not in CLOUD_WRITERS:
+        raise ValueError(
+            f"{str(target)!r}: cannot write {suffix or 'a file without extension'!r}; meshes go to "
+            f"{' '.join(MESH_WRITERS)}, point clouds to {' '.join(CLOUD_WRITERS)}"
+        )
+    surface = _surface(geometry)
+    writers, what = (CLOUD_WRITERS, "point cloud") if surface.triangles is None else (MESH_WRITERS, "mesh")
+    if suffix not in writers:
+        raise ValueError(f"{str(target)!r}: {suffix} cannot hold a {what}; choose {' '.join(writers)}")
+    atomic_write_bytes(target, writers[suffix](surface))
+
+
+def atomic_write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
+    """Write ``data`` to a new file beside ``path``, then give it the name: readers see the old content or the new.
+
+    A link is followed, an existing file's permissions are kept, a new file's follow the umask.
+
+    Raises:
+        OSError: With ``path`` as its file name; the target is as it was and nothing else is left behind.
+    """
+    given = os.fspath(path)
+    try:
+        _replace(Path(os.path.realpath(given)), data)
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, given) from None
+
+
+def _replace(target: Path, data: bytes) -> None:
+    mode = None
+    with contextlib.suppress(FileNotFoundError):
+        mode = target.stat().st_mode
+    if mode is not None and stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if mode is not None and not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "not a regular file, so it is not replaced")
+    temporary = target.with_name(f".fsh3d-{secrets.token_hex(8)}{target.suffix[:16]}")
+    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+    try:
+        with open(descriptor, "wb") as file:  # noqa: PTH123 - a descriptor, not a path
+            if mode is not None:
+                os.fchmod(descriptor, stat.S_IMODE(mode) & 0o777)
+            file.write(data)
+        temporary.replace(target)
+    except BaseException:  # an interrupt too
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _surface(geometry: Any) -> Surface:
+    arrays, _ = geometry_arrays(geometry)
+    if isinstance(arrays, PointArrays):
+        normals, colors = arrays.normals, arrays.colors
+        surface = Surface(arrays.points, None, normals, colors)
+    elif isinstance(geometry, MeshArrays):
+        surface = Surface(arrays.vertices, arrays.triangles, None, None)
+    else:
+        surface = Surface(arrays.vertices, arrays.triangles, *_mesh_attributes(geometry))
+    for name in ("normals", "colors"):
+        values = getattr(surface, name)
+        if values is not None and (values.shape != surface.points.shape or not np.isfinite(values).all()):
+            raise GeometryError(f"{name} must be finite and of shape {surface.points.shape}, got {values.shape}")
+    return surface
+
+
+def _mesh_attributes(mesh: Any) -> tuple[Float64Array | None, Float64Array | None]:
+    """Vertex normals and colours of an Open3D mesh, as float64."""
+    if isinstance(mesh, open3d().geometry.TriangleMesh):
+        return (
+            np.asarray(mesh.vertex_normals) if mesh.has_vertex_normals() else None,
+            np.asarray(mesh.vertex_colors) if mesh.has_vertex_colors() else None,
+        )
+    normals = mesh.vertex["normals"].cpu().numpy().astype(np.float64) if "normals" in mesh.vertex else None
+    if "colors" not in mesh.vertex:
+        return normals, None
+    colors = mesh.vertex["colors"].cpu().numpy()
+    largest = np.iinfo(colors.dtype).max if colors.dtype.kind in "ui" else 1
+    return normals, colors.astype(np.float64) / largest
