@@ -45,7 +45,9 @@ class MeshArrays:
     @property
     def diagonal(self) -> float:
         """Length of the bounding-box diagonal of the vertices that triangles use."""
-        return _diagonal(self.vertices[np.unique(self.triangles)])
+        used = np.zeros(len(self.vertices), dtype=np.bool_)
+        used[self.triangles] = True
+        return _diagonal(self.vertices[used])
 
 
 @dataclass(frozen=True, eq=False)

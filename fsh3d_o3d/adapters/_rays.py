@@ -1,0 +1,149 @@
+"""Rays and closest points in a unit frame (private).
+
+Open3D's ``RaycastingScene`` works in float32. Everything that uses it first moves and scales its geometry in float64
+into a frame where coordinates are of order one, asks the scene only *which* triangle is met, and computes the answer
+again in float64 from that triangle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fsh3d_o3d._open3d import open3d
+from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d.errors import GeometryError
+
+_GRAZING = 1e-4  # in the unit frame: some thousand float32 steps
+_TILT = 1e-6  # radians: some ten float32 steps, enough to leave an edge that a ray slipped through
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A shift and a scale that bring points to order one without rounding more than the shift must."""
+
+    origin: Float64Array
+    """(3,) point that becomes the origin."""
+    scale: float
+    """Length that becomes one; a power of two, so that scaling is exact."""
+
+    @classmethod
+    def around(cls, *clouds: Float64Array, center: Float64Array | None = None) -> Frame:
+        """Return the frame in which all (n, 3) clouds lie in the unit cube about ``center`` (default: box centre)."""
+        # Column by column, which is several times faster than reducing (n, 3) along its long axis.
+        low = np.array([min(float(cloud[:, k].min()) for cloud in clouds) for k in range(3)])
+        high = np.array([max(float(cloud[:, k].max()) for cloud in clouds) for k in range(3)])
+        if np.all(low == high):
+            raise GeometryError(f"the geometry has no extent: all its points are at {low.tolist()}")
+        # Halved before they are added or subtracted, so that coordinates near the end of float64 do not overflow.
+        middle = low / 2 + high / 2 if center is None else center
+        extent = 2 * float(np.maximum(np.abs(high / 2 - middle / 2), np.abs(low / 2 - middle / 2)).max())
+        exponent = math.frexp(extent)[1] if math.isfinite(extent) else 1024
+        return cls(origin=middle, scale=math.ldexp(1.0, min(exponent, 1023)))
+
+    def to_unit(self, points: Float64Array) -> Float64Array:
+        """Return points (…, 3) in the frame."""
+        return np.asarray(points / self.scale - self.origin / self.scale)
+
+    def from_unit(self, points: Float64Array) -> Float64Array:
+        """Return points (…, 3) of the frame in the coordinates of the geometry."""
+        return np.asarray(points * self.scale + self.origin)
+
+
+class UnitScene:
+    """A ray-casting scene of triangles given in a unit frame; keeps the float64 corners beside it."""
+
+    def __init__(self, vertices: Float64Array, triangles: IntArray) -> None:
+        o3d = open3d()
+        self.vertices = vertices
+        self.triangles = triangles
+        self._tensor = o3d.core.Tensor
+        self._scene = o3d.t.geometry.RaycastingScene()
+        self._scene.add_triangles(
+            self._tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
+            self._tensor(np.ascontiguousarray(triangles, dtype=np.uint32)),
+        )
+
+    def cast(self, origins: Float64Array, directions: Float64Array) -> tuple[Float64Array, IntArray]:
+        """Return how far along each ray (n,) the first hit lies (inf: none) and its triangle (−1: none)."""
+        answer = self._scene.cast_rays(self._rays(origins, directions))
+        distance = answer["t_hit"].numpy().astype(np.float64)
+        triangle = answer["primitive_ids"].numpy().astype(np.int64)
+        return distance, np.where(np.isfinite(distance), triangle, -1)
+
+    def count(self, origins: Float64Array, directions: Float64Array) -> IntArray:
+        """Return how many times each ray (n,) crosses the surface."""
+        counts: IntArray = self._scene.count_intersections(self._rays(origins, directions)).numpy().astype(np.int64)
+        return counts
+
+    def closest(self, points: Float64Array) -> IntArray:
+        """Return the triangle (n,) closest to each point, as far as float32 can tell."""
+        answer: dict[str, Any] = self._scene.compute_closest_points(self._tensor(points.astype(np.float32)))
+        closest: IntArray = answer["primitive_ids"].numpy().astype(np.int64)
+        return closest
+
+    def _rays(self, origins: Float64Array, directions: Float64Array) -> Any:
+        rays = np.empty((len(directions), 6), dtype=np.float32)
+        rays[:, :3] = origins
+        rays[:, 3:] = directions
+        return self._tensor(rays)
+
+    def radii(self, directions: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Return the innermost and outermost distance (n,) from the frame's origin along each direction (NaN: none).
+
+        The innermost hit is met by a ray from the origin, the outermost by a ray from outside towards it.
+        """
+        zero = np.zeros(3)
+        inner, inner_triangle = self.cast(zero, directions)
+        # The start is a power of two beyond the cube's corners, so that both rays round to the same float32 line.
+        start = 2.0
+        outer, outer_triangle = self.cast(start * directions, -directions)
+        behind = outer > start
+        outer = np.where(behind, np.inf, start - outer)
+        outer_triangle = np.where(behind, -1, outer_triangle)
+
+        lost = np.flatnonzero((inner_triangle < 0) & (outer_triangle < 0))
+        if lost.size:  # a ray can slip between two triangles; one beside it cannot slip through the same place
+            inner[lost], inner_triangle[lost] = self._cast_beside(directions[lost])
+        # Where only one of the two rays slipped through, the other one knows better.
+        inner_missed = inner_triangle < 0
+        outer_missed = outer_triangle < 0
+        inner, inner_triangle = (
+            np.where(inner_missed, outer, inner),
+            np.where(inner_missed, outer_triangle, inner_triangle),
+        )
+        outer, outer_triangle = (
+            np.where(outer_missed, inner, outer),
+            np.where(outer_missed, inner_triangle, outer_triangle),
+        )
+        near = self._refined(directions, inner, inner_triangle)
+        far = self._refined(directions, outer, outer_triangle)
+        return np.minimum(near, far), np.maximum(near, far)
+
+    def _cast_beside(self, directions: Float64Array) -> tuple[Float64Array, IntArray]:
+        axis = np.eye(3)[np.abs(directions).argmin(axis=1)]
+        first = np.cross(directions, axis)
+        second = np.cross(directions, first)
+        distance = np.full(len(directions), np.inf)
+        triangle = np.full(len(directions), -1, dtype=np.int64)
+        for angle in (0.3, 2.4, 4.5):
+            beside = directions + _TILT * (math.cos(angle) * first + math.sin(angle) * second)
+            t, index = self.cast(np.zeros(3), beside)
+            better = t < distance
+            distance, triangle = np.where(better, t, distance), np.where(better, index, triangle)
+        return distance, triangle
+
+    def _refined(self, directions: Float64Array, distance: Float64Array, triangle: IntArray) -> Float64Array:
+        """Return each hit's distance from the float64 plane of its triangle; NaN where there is no hit."""
+        corners = self.vertices[self.triangles[np.maximum(triangle, 0)]]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        along = np.einsum("ij,ij->i", normal, directions)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            exact = np.einsum("ij,ij->i", normal, corners[:, 0]) / along
+            # float32 misplaces a hit by a few of its steps, and by 1/cosine as many along the ray. Where that comes to
+            # more than this the ray grazes the plane, and the float32 hit is at least on the triangle.
+            trusted = (np.abs(exact - distance) <= _GRAZING) & (exact > 0)
+        return np.where(triangle < 0, np.nan, np.where(trusted, exact, distance))
