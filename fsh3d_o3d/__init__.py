@@ -1,12 +1,43 @@
 """Point clouds and meshes as spherical harmonics, in Open3D.
 
-    >>> import fsh3d_o3d as fsh
-    >>> transform = fsh.SphericalHarmonicTransform(bandwidth=32)
-    >>> coefficients = transform.forward(transform.grid.directions[:, 2])
+>>> import fsh3d_o3d as fsh
+>>> transform = fsh.SphericalHarmonicTransform(bandwidth=32)
+>>> coefficients = transform.forward(transform.grid.directions[:, 2])
 """
 
 from fsh3d_o3d._version import __version__
+from fsh3d_o3d.adapters.reading import read_geometry
+from fsh3d_o3d.adapters.surface_error import SurfaceError, surface_error, vertex_distances
+from fsh3d_o3d.adapters.writing import write_geometry
+from fsh3d_o3d.errors import (
+    CoverageError,
+    GeometryError,
+    GeometryReadError,
+    MemoryEstimateError,
+    NotStarShapedError,
+    QuadratureWarning,
+)
+from fsh3d_o3d.shapes import RadialShape, load_shape
 from fsh3d_o3d.sphere import *  # noqa: F403 - its __all__ is the list of public names
 from fsh3d_o3d.sphere import __all__ as _sphere
 
-__all__ = ["__version__", *_sphere]  # noqa: PLE0604
+__all__ = [
+    "__version__",
+    *_sphere,
+    # shapes
+    "RadialShape",
+    "load_shape",
+    # geometry
+    "SurfaceError",
+    "read_geometry",
+    "surface_error",
+    "vertex_distances",
+    "write_geometry",
+    # errors
+    "CoverageError",
+    "GeometryError",
+    "GeometryReadError",
+    "MemoryEstimateError",
+    "NotStarShapedError",
+    "QuadratureWarning",
+]

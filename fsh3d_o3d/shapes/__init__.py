@@ -1,1 +1,24 @@
 """Shapes as immutable values: coefficients and what is needed to come back."""
+
+from __future__ import annotations
+
+import os
+
+from fsh3d_o3d.errors import GeometryReadError
+from fsh3d_o3d.shapes.radial import RadialShape
+from fsh3d_o3d.shapes.storage import read_arrays
+
+__all__ = ["RadialShape", "load_shape"]
+
+
+def load_shape(path: str | os.PathLike[str]) -> RadialShape:
+    """Read a shape that ``save`` wrote.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        GeometryReadError: Not a shape file, damaged, or of a newer format version.
+    """
+    kind, arrays = read_arrays(path)
+    if kind == RadialShape.__name__:
+        return RadialShape._from_arrays(path, arrays)
+    raise GeometryReadError(f"{os.fspath(path)}: a shape of kind {kind!r}, which this version does not know")

@@ -1,13 +1,14 @@
 """The paper's analytic weights: the minimum-norm solution of Eq. (8) and (11).
 
-The weighted grid s = Σ w_j δ(ω_j) must have no spectrum in the degrees 1 … 2b − 1; then quadrature recovers functions of
-degree < b exactly. In orthonormal real harmonics that is A w = √4π e₀ with A = Y(l, m; ω_j), l < 2b. Equal weights lie in
-the range of Aᵀ, so the minimum-norm solution is equal weights plus a correction Aᵀy.
+The weighted grid s = Σ w_j δ(ω_j) must have no spectrum in the degrees 1 … 2b − 1; then quadrature recovers functions
+of degree < b exactly. In orthonormal real harmonics that is A w = √4π e₀ with A = Y(l, m; ω_j), l < 2b. Equal weights
+lie in the range of Aᵀ, so the minimum-norm solution is equal weights plus a correction Aᵀy.
 
 Conjugate gradients find it in about ten steps where A Aᵀ is well conditioned, n >= 5.7b² on a Fibonacci grid. Below,
 towards the n = 4b² that counting equations suggests, some combination of harmonics all but vanishes on the grid: exact
-solutions exist, but from b = 20 on their weights reach hundreds of times the mean and alternate in sign, which multiplies
-any noise in the samples. Such solutions are refused in favour of bounded ones, and the result says what they miss.
+solutions exist, but from b = 20 on their weights reach hundreds of times the mean and alternate in sign, which
+multiplies any noise in the samples. Such solutions are refused in favour of bounded ones, and the result says what
+they miss.
 """
 
 from __future__ import annotations
@@ -92,8 +93,8 @@ def analytic_weights(
     n = len(grid)
     if n < 4 * b * b:
         raise ValueError(
-            f"bandwidth {b} needs at least 4b² = {4 * b * b} points for the conditions of Eq. (8), and 6b² = {6 * b * b} "
-            f"to be well conditioned; the {grid.name} grid has {n}"
+            f"bandwidth {b} needs at least 4b² = {4 * b * b} points for the conditions of Eq. (8), and 6b² = "
+            f"{6 * b * b} to be well conditioned; the {grid.name} grid has {n}"
         )
     threads = resolve_threads(threads)
     key = weight_cache.weight_key(grid, b)
@@ -118,10 +119,11 @@ def analytic_weights(
             weight_cache.keep(key, solution)
     if not solution.converged:
         warnings.warn(
-            f"the {grid.name} grid of {n} = {n / (b * b):.2f}b² points misses the conditions of Eq. (8) for bandwidth {b} by "
-            f"{solution.residual:.1e} (weights {solution.minimum * n / (4 * np.pi):.2f} … "
-            f"{solution.maximum * n / (4 * np.pi):.2f} of equal, {solution.negative} negative); a Fibonacci grid of 6b² = "
-            f'{6 * b * b} points meets them, and analysis="least_squares" recovers band-limited functions on this one',
+            f"the {grid.name} grid of {n} = {n / (b * b):.2f}b² points misses the conditions of Eq. (8) for bandwidth "
+            f"{b} by {solution.residual:.1e} (weights {solution.minimum * n / (4 * np.pi):.2f} … "
+            f"{solution.maximum * n / (4 * np.pi):.2f} of equal, {solution.negative} negative); a Fibonacci grid of "
+            f'6b² = {6 * b * b} points meets them, and analysis="least_squares" recovers band-limited functions on '
+            "this one",
             QuadratureWarning,
             stacklevel=2,
         )
@@ -199,8 +201,9 @@ def _solve(system: _System) -> tuple[Float64Array, int]:
 def _correct_equal_weights(system: _System, maximum: int) -> tuple[Float64Array, int, bool]:
     """Conjugate gradients on the least-squares problem min |A w − √4π e₀|, from equal weights (CGLS).
 
-    The corrections lie in the range of Aᵀ, so the limit is the minimum-norm solution. Unlike gradients on A Aᵀ the misfit
-    falls with every step, so that an iterate stopped early is a regularised solution: positive and close to equal.
+    The corrections lie in the range of Aᵀ, so the limit is the minimum-norm solution. Unlike gradients on A Aᵀ the
+    misfit falls with every step, so that an iterate stopped early is a regularised solution: positive and close to
+    equal.
     """
     limit = (_REFINED_TOLERANCE if system.bandwidth <= _REFINED_BANDWIDTH else _FAST_TOLERANCE) * np.sqrt(4 * np.pi)
     weights = np.full(len(system.points), 4 * np.pi / len(system.grid))

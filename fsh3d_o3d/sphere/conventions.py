@@ -50,7 +50,8 @@ def from_complex(coefficients: object, convention: Convention = "condon_shortley
     """Return the real coefficients of a real function from its complex ones; the inverse of ``to_complex``.
 
     Raises:
-        ValueError: As for ``to_complex``, or the coefficients are not those of a real function (to 1e-6 of the largest).
+        ValueError: As for ``to_complex``, or the coefficients are not those of a real function (to 1e-6 of the
+            largest).
     """
     check.choice(convention, "convention", ("condon_shortley", "paper"))
     values = np.asarray(coefficients)
@@ -67,7 +68,8 @@ def from_complex(coefficients: object, convention: Convention = "condon_shortley
     difference = np.abs(to_complex(result, convention) - values).max(initial=0.0)
     if difference > 1e-6 * np.abs(values).max(initial=0.0):
         raise ValueError(
-            f"coefficients are not those of a real function: f̂(l, −m) differs from (−1)^m conj f̂(l, m) by up to {difference:.3g}"
+            "coefficients are not those of a real function: "
+            f"f̂(l, −m) differs from (−1)^m conj f̂(l, m) by up to {difference:.3g}"
         )
     return np.asarray(result, dtype=real.dtype)
 

@@ -1,7 +1,7 @@
 """Which engine carries out a transform.
 
-The crossovers were measured (``benchmarks/transform.py``): a matrix product beats the fast transform for small bandwidths
-always, and up to b = 32 for batches large enough to keep BLAS busy; beyond, the matrices only cost memory.
+The crossovers were measured (``benchmarks/transform.py``): a matrix product beats the fast transform for small
+bandwidths always, and up to b = 32 for batches large enough to keep BLAS busy; beyond, the matrices only cost memory.
 """
 
 from __future__ import annotations

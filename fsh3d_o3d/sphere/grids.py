@@ -68,13 +68,14 @@ class SphericalGrid:
         return hashlib.sha256(np.ascontiguousarray(self.directions).tobytes()).hexdigest()
 
 
-def default_size(bandwidth: int) -> int:
-    """Number of Fibonacci points for a bandwidth b: 6b², which is 1.5 times the 4b² equations of Eq. (11).
+def grid_size(bandwidth: int, oversampling: float | None = None) -> int:
+    """Number of Fibonacci points for a bandwidth b: 4b² times ``oversampling``, 6b² if not given.
 
-    Counting equations asks for 4b² points only, but there the equations are nearly dependent; from about 5.7b² on
-    they are well conditioned (``docs/conventions.md``).
+    Counting the equations of Eq. (11) asks for 4b² points only, but there they are nearly dependent; from about 5.7b²
+    on they are well conditioned (``docs/conventions.md``).
     """
-    return 6 * bandwidth**2
+    factor = 1.5 if oversampling is None else check.number(oversampling, "oversampling", minimum=1.0, maximum=1000.0)
+    return int(np.ceil(4 * bandwidth**2 * factor))
 
 
 @functools.lru_cache(maxsize=16)

@@ -1,9 +1,9 @@
 """Least-squares analysis: coefficients from samples where no exact quadrature weights are at hand.
 
-Minimises Σ_j w_j (f_j − Σ_lm c_lm Y_lm(ω_j))² + λ Σ_lm (l(l+1))² c_lm² by conjugate gradients on the normal equations. With
-w = 4π/n on evenly spread points their matrix is close to the identity (its eigenvalues lie in 0.95 … 1.03 on a Fibonacci
-grid of 4b² points), so that a handful of steps reach rounding. The second term is the bending energy of the function, a
-thin-plate spline on the sphere (Wahba 1981): it fills what the samples leave open, smoothly.
+Minimises Σ_j w_j (f_j − Σ_lm c_lm Y_lm(ω_j))² + λ Σ_lm (l(l+1))² c_lm² by conjugate gradients on the normal
+equations. With w = 4π/n on evenly spread points their matrix is close to the identity (its eigenvalues lie in 0.95 …
+1.03 on a Fibonacci grid of 4b² points), so that a handful of steps reach rounding. The second term is the bending
+energy of the function, a thin-plate spline on the sphere (Wahba 1981): it fills what the samples leave open, smoothly.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def fit_coefficients(
         directions: (n, 3) unit vectors, or a ``SphericalGrid``.
         bandwidth: b.
         weights: (n,) non-negative weights of the samples; scaled to sum to 4π. Equal if not given.
-        smoothness: λ >= 0, the weight of the bending energy in units of the squared samples' mean: 0 for none, 1e-8 … 1e-6
-            to bridge holes.
+        smoothness: λ >= 0, the weight of the bending energy in units of the squared samples' mean: 0 for none, 1e-8 …
+            1e-6 to bridge holes.
         tolerance: Relative norm of the gradient at which to stop.
         max_iterations: Most conjugate-gradient steps.
         threads: Number of threads, or None for all that the process may use.

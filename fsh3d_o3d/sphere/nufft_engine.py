@@ -3,8 +3,8 @@
 Cost grows as n + b³ instead of n b²; accuracy is 1e-13 in float64 and 1e-6 in float32.
 
 ducc0's own threads add up floating-point sums in an order that varies from run to run. Here every ducc0 call has one
-thread and the calls run side by side, one a function or one a fixed block of points, so that results do not depend on the
-number of threads.
+thread and the calls run side by side, one a function or one a fixed block of points, so that results do not depend on
+the number of threads.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, FloatArray
 from fsh3d_o3d.sphere.analytic_weights import WeightSolution, analytic_weights
 from fsh3d_o3d.sphere.engines import EngineName, EnginePair
-from fsh3d_o3d.sphere.grids import SphericalGrid, default_size, fibonacci_grid, grid_from_directions
+from fsh3d_o3d.sphere.grids import SphericalGrid, fibonacci_grid, grid_from_directions, grid_size
 from fsh3d_o3d.sphere.least_squares import solve_least_squares
 from fsh3d_o3d.sphere.nufft_engine import synthesise_gradient
 
@@ -23,18 +23,20 @@ Analysis = Literal["quadrature", "least_squares"]
 class SphericalHarmonicTransform:
     """A plan for transforms between n samples on a grid and the b² coefficients of degree < b.
 
-    ``forward`` is quadrature, f̂ = Σ_j w_j f(ω_j) Y(ω_j) (Eq. 12 in our normalisation), exact for functions of degree < b
-    when the weights meet Eq. (8). With ``analysis="least_squares"`` it is the least-squares fit instead, exact for them on
-    any grid that determines them; the weights only precondition it. ``inverse`` is synthesis. A plan may be used from
-    several threads.
+    ``forward`` is quadrature, f̂ = Σ_j w_j f(ω_j) Y(ω_j) (Eq. 12 in our normalisation), exact for functions of degree
+    < b when the weights meet Eq. (8). With ``analysis="least_squares"`` it is the least-squares fit instead, exact
+    for them on any grid that determines them; the weights only precondition it. ``inverse`` is synthesis. A plan may
+    be used from several threads.
 
     Args:
         bandwidth: b; degrees 0 … b − 1.
         grid: Where functions are sampled; the Fibonacci grid of 6b² points if not given.
-        weights: (n,) quadrature weights summing to 4π, or a ``WeightSolution``; the analytic weights if not given (equal
-            weights for least squares).
+        weights: (n,) quadrature weights summing to 4π, or a ``WeightSolution``; the analytic weights if not given
+            (equal weights for least squares).
         engine: ``"dense"`` (matrices, exact to rounding), ``"nufft"`` (fast transforms, 1e-13), or ``"auto"``: by size.
         analysis: ``"quadrature"`` or ``"least_squares"``.
+        oversampling: Instead of a grid: the number of Fibonacci points in units of 4b², at least 1. The default is 1.5;
+            from 1.43 on the weights are well conditioned.
         threads: Number of threads, or None for all that the process may use. Does not change results.
 
     Raises:
@@ -50,6 +52,7 @@ class SphericalHarmonicTransform:
         engine: EngineName = "auto",
         *,
         analysis: Analysis = "quadrature",
+        oversampling: float | None = None,
         threads: int | None = None,
     ) -> None:
         self._bandwidth = check.bandwidth(bandwidth)
@@ -57,7 +60,9 @@ class SphericalHarmonicTransform:
             raise TypeError(f"grid must be a SphericalGrid, got {type(grid).__name__}; see grid_from_directions")
         self._analysis = check.choice(analysis, "analysis", ("quadrature", "least_squares"))
         self._threads = None if threads is None else check.integer(threads, "threads", minimum=1, maximum=1024)
-        self._grid = fibonacci_grid(default_size(self._bandwidth)) if grid is None else grid
+        if grid is not None and oversampling is not None:
+            raise ValueError("give a grid or an oversampling, not both")
+        self._grid = fibonacci_grid(grid_size(self._bandwidth, oversampling)) if grid is None else grid
         if weights is None and analysis == "least_squares":
             weights = np.full(len(self._grid), 4 * np.pi / len(self._grid))
         elif weights is None:
@@ -87,8 +92,8 @@ class SphericalHarmonicTransform:
 
     def __repr__(self) -> str:
         return (
-            f"SphericalHarmonicTransform(bandwidth={self._bandwidth}, grid={self._grid.name} with {len(self._grid)} points, "
-            f"analysis={self._analysis!r})"
+            f"SphericalHarmonicTransform(bandwidth={self._bandwidth}, grid={self._grid.name} with {len(self._grid)} "
+            f"points, analysis={self._analysis!r})"
         )
 
     def forward(self, values: object) -> FloatArray:

@@ -1,8 +1,8 @@
 """Solved weights, kept in memory and on disk.
 
-A file holds one solution under a name made of everything it depends on, and a checksum of itself; one that does not match is
-solved again. Files are written under a temporary name and renamed, so that processes may share the folder. A folder that
-cannot be written is no error: the weights are then solved each time. ``FSH3D_CACHE_DIR`` moves it.
+A file holds one solution under a name made of everything it depends on, and a checksum of itself; one that does not
+match is solved again. Files are written under a temporary name and renamed, so that processes may share the folder. A
+folder that cannot be written is no error: the weights are then solved each time. ``FSH3D_CACHE_DIR`` moves it.
 """
 
 from __future__ import annotations

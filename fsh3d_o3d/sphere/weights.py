@@ -1,4 +1,4 @@
-"""Closed-form and geometric quadrature weights; every rule sums to 4π. The analytic ones are in ``analytic_weights``."""
+"""Closed-form and geometric quadrature weights; every rule sums to 4π. See ``analytic_weights`` for the paper's."""
 
 from __future__ import annotations
 

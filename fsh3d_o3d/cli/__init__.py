@@ -1,0 +1,54 @@
+"""The ``fsh3d`` command: one file a sub-command.
+
+Exit codes: 0 done, 1 finished with some inputs failed (they are listed), 2 bad input or usage, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+
+from fsh3d_o3d._version import __version__
+from fsh3d_o3d.cli import cache, info, reconstruct
+from fsh3d_o3d.cli._console import error_line
+
+__all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command with the given arguments (those of the process if None) and return its exit code."""
+    parser = argparse.ArgumentParser(
+        prog="fsh3d", description="Shapes as frequencies: meshes and point clouds as spherical harmonics."
+    )
+    parser.add_argument("--version", action="version", version=f"fsh3d_o3d {__version__}")
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for module in (reconstruct, info, cache):
+        module.add_parser(commands)
+    try:
+        options = parser.parse_args(arguments)
+    except SystemExit as stop:  # argparse has printed the help (0) or its message (2)
+        return stop.code if isinstance(stop.code, int) else 2
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda message, *_: print(f"fsh3d: warning: {error_line(message)}", file=sys.stderr)
+            code: int = options.run(options)
+        sys.stdout.flush()
+        return code
+    except KeyboardInterrupt:
+        print("fsh3d: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output has gone; what Python would flush at exit goes nowhere instead.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        if options.debug:
+            raise
+        foreseen = isinstance(error, (ValueError, TypeError, OSError, ImportError, MemoryError))
+        prefix = "" if foreseen else f"internal error, please report it ({type(error).__name__}): "
+        print(f"fsh3d: error: {prefix}{error_line(error)}", file=sys.stderr)
+        return 2

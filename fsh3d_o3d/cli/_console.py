@@ -1,0 +1,77 @@
+"""What the sub-commands share: messages in one line, progress, JSON (private)."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from tqdm import tqdm
+
+
+def error_line(error: object) -> str:
+    """An error or warning in one line, with the file it is about."""
+    if isinstance(error, MemoryError) and not str(error):
+        return "out of memory"
+    if isinstance(error, OSError) and error.strerror:
+        return " ".join(f"{error.filename}: {error.strerror}".split()) if error.filename else error.strerror
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def print_json(values: Mapping[str, Any]) -> None:
+    """Print strict JSON: NaN and infinities become null."""
+    finite = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
+    print(json.dumps(finite, ensure_ascii=True, allow_nan=False))
+
+
+class Progress:
+    """A bar over the named steps of one job on standard error; silent when not wanted or not a terminal."""
+
+    def __init__(self, steps: int, wanted: bool) -> None:
+        self._bar = tqdm(
+            total=steps,
+            disable=not (wanted and sys.stderr.isatty()),
+            bar_format="{desc:<24} {bar:20} {n_fmt}/{total_fmt} [{elapsed}]",
+            leave=False,
+        )
+        self._started = False
+
+    def step(self, name: str) -> None:
+        """The step before is done; this one begins."""
+        if self._started:
+            self._bar.update()
+        self._started = True
+        self._bar.set_description_str(name)
+
+    def close(self) -> None:
+        """The last step is done, or the job has failed."""
+        self._bar.close()
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def add_output_options(parser: argparse.ArgumentParser) -> None:
+    """--json, --quiet and --threads."""
+    parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.add_argument("--threads", type=int, metavar="N", help="threads to use (default: all this process may)")
+
+
+def point_or_name(text: str) -> str | tuple[float, ...]:
+    """A centre on the command line: X,Y,Z or a name."""
+    if "," not in text:
+        return text
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not X,Y,Z") from None
+    if len(values) != 3 or not all(map(math.isfinite, values)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not three finite numbers X,Y,Z")
+    return values

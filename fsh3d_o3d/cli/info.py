@@ -1,0 +1,137 @@
+"""``fsh3d info``: what a file holds, and which method fits it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from typing import Any
+
+from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
+from fsh3d_o3d.adapters.mesh_measures import measure_mesh, weld
+from fsh3d_o3d.adapters.radial_cloud import cloud_center, fit_radial_cloud
+from fsh3d_o3d.adapters.reading import read_geometry_arrays
+from fsh3d_o3d.adapters.star import StarReport, star_center
+from fsh3d_o3d.cli._console import Progress, add_output_options, print_json
+from fsh3d_o3d.errors import GeometryError
+
+_STAR_LIKE = 0.01
+_HIDDEN = 0.02
+_COARSE_BANDWIDTH = 8
+
+
+def add_parser(commands: Any) -> None:
+    """Add the sub-command."""
+    parser = commands.add_parser(
+        "info",
+        help="say what a file holds and which method fits it",
+        description="Say what a file holds: size, topology, how star-shaped it is, and which method fits it and why.",
+    )
+    parser.add_argument("file", help="mesh or point cloud")
+    add_output_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the description."""
+    with Progress(2, not options.quiet) as progress:
+        progress.step("reading")
+        geometry = read_geometry_arrays(options.file)
+        progress.step("measuring")
+        facts = describe(geometry)
+    if options.json:
+        print_json({"file": os.fspath(options.file), **facts})
+    else:
+        width = max(map(len, facts))
+        print(options.file)
+        for name, value in facts.items():
+            print(f"  {name.replace('_', ' '):<{width}}  {_shown(value)}")
+    return 0
+
+
+def describe(geometry: MeshArrays | PointArrays) -> dict[str, Any]:
+    """What is known of a geometry, by name; the last two are the method that fits and why."""
+    if isinstance(geometry, PointArrays):
+        return _describe_cloud(geometry)
+    return _describe_mesh(geometry)
+
+
+def _describe_cloud(cloud: PointArrays) -> dict[str, Any]:
+    if cloud.diagonal == 0:
+        raise GeometryError(f"all {len(cloud.points)} points are the same")
+    facts: dict[str, Any] = {
+        "kind": "point cloud",
+        "points": len(cloud.points),
+        "normals": cloud.normals is not None,
+        "colors": cloud.colors is not None,
+        "diagonal": cloud.diagonal,
+    }
+    try:
+        fit = fit_radial_cloud(cloud, _COARSE_BANDWIDTH, cloud_center(cloud))
+    except GeometryError as error:
+        return {**facts, "method": None, "reason": str(error)}
+    return {
+        **facts,
+        "center": fit.center.tolist(),
+        "largest_hole_degrees": fit.empty_cap,
+        "inliers": fit.inliers,
+        "spread": fit.scale,
+        "method": "radial",
+        "reason": f"a robust fit of degree {_COARSE_BANDWIDTH - 1} about the center keeps {100 * fit.inliers:.3g} % of "
+        f"the points, with a spread of {100 * fit.scale / cloud.diagonal:.2g} % of the diagonal",
+    }
+
+
+def _describe_mesh(mesh: MeshArrays) -> dict[str, Any]:
+    welded = weld(mesh)
+    measures = measure_mesh(welded)
+    facts: dict[str, Any] = {
+        "kind": "triangle mesh",
+        "vertices": len(mesh.vertices),
+        "triangles": len(mesh.triangles),
+        "duplicate_vertices": len(mesh.vertices) - len(welded.vertices),
+        "diagonal": measures.diagonal,
+        "area": measures.area,
+        "volume": measures.volume,
+        "closed": measures.closed,
+        "manifold": measures.edge_manifold and measures.vertex_manifold,
+        "oriented": measures.consistently_oriented,
+        "components": measures.components,
+        "euler_number": measures.euler_number,
+        "genus": measures.genus,
+    }
+    if measures.area == 0:
+        raise GeometryError("the mesh has no area: all its triangles are degenerate")
+    star = star_center(welded, "best")
+    method, reason = _fitting_method(star, closed=measures.closed, genus=measures.genus)
+    return {
+        **facts,
+        "center": star.center.tolist(),
+        "star_shaped": star.exact,
+        "visible_area": star.visible_area,
+        "directions_missed": star.missed,
+        "directions_multiple": star.multiple,
+        "method": method,
+        "reason": reason,
+    }
+
+
+def _fitting_method(star: StarReport, *, closed: bool, genus: int | None) -> tuple[str, str]:
+    if star.exact:
+        return "radial", "star-shaped: the center sees the whole surface"
+    if max(star.missed, star.multiple) <= _STAR_LIKE and 1 - star.visible_area <= _HIDDEN:
+        return "radial", "nearly star-shaped: all but a small part of the surface is seen from the center"
+    if genus == 0:
+        return "conformal", "closed and of genus 0, but no center sees the whole surface"
+    return "shells", "not star-shaped, and " + ("of genus > 0 or not one manifold piece" if closed else "not closed")
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list):
+        return "(" + ", ".join(f"{v:.6g}" for v in value) + ")"
+    return str(value)

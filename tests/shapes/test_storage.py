@@ -1,0 +1,138 @@
+"""Shapes in files: equal to the last bit, checked on loading, never pickled."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+
+import numpy as np
+import pytest
+
+import fsh3d_o3d as fsh
+from fsh3d_o3d.errors import GeometryReadError
+
+
+@pytest.fixture
+def shape(rng):
+    return fsh.RadialShape(rng.standard_normal(49), rng.standard_normal(3), "tensor")
+
+
+def rewritten(path, changes):
+    """The file at ``path`` with some arrays replaced (None removes one)."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    arrays.update(changes)
+    np.savez(path, **{name: value for name, value in arrays.items() if value is not None})
+    return path
+
+
+def test_what_is_saved_comes_back(shape, tmp_path):
+    shape.save(tmp_path / "x.npz")
+    again = fsh.load_shape(tmp_path / "x.npz")
+    assert isinstance(again, fsh.RadialShape)
+    assert again.coefficients.tobytes() == shape.coefficients.tobytes()
+    assert again.center.tobytes() == shape.center.tobytes()
+    assert again.kind == "tensor"
+    assert [path.name for path in tmp_path.iterdir()] == ["x.npz"]
+
+
+def test_same_shape_same_bytes(shape, tmp_path):
+    shape.save(tmp_path / "a.npz")
+    shape.save(tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_numpy_reads_it_too(shape, tmp_path):
+    shape.save(tmp_path / "x.npz")
+    with np.load(tmp_path / "x.npz", allow_pickle=False) as file:
+        assert np.array_equal(file["coefficients"], shape.coefficients)
+        assert str(file["kind"]) == "RadialShape"
+
+
+def test_wrong_extension_is_refused(shape, tmp_path):
+    with pytest.raises(ValueError, match=r"saved as \.npz"):
+        shape.save(tmp_path / "x.ply")
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        fsh.load_shape(tmp_path / "none.npz")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"coefficients": np.zeros(48)},
+        {"coefficients": np.full(49, np.nan)},
+        {"coefficients": np.zeros((7, 7))},
+        {"coefficients": np.array(["a"] * 49)},
+        {"coefficients": np.zeros(0)},
+        {"coefficients": None},
+        {"center": np.zeros(2)},
+        {"center": None},
+        {"geometry": np.array("gas")},
+        {"kind": np.array("Potato")},
+        {"kind": None},
+        {"format": np.array("other")},
+        {"format": None},
+        {"version": np.array(0)},
+        {"version": np.array("new")},
+    ],
+    ids=repr,
+)
+def test_malformed_files_are_refused(shape, tmp_path, changes):
+    shape.save(tmp_path / "x.npz")
+    with pytest.raises(GeometryReadError, match=r"x\.npz"):
+        fsh.load_shape(rewritten(tmp_path / "x.npz", changes))
+
+
+def test_newer_format_says_so(shape, tmp_path):
+    shape.save(tmp_path / "x.npz")
+    with pytest.raises(GeometryReadError, match="upgrade"):
+        fsh.load_shape(rewritten(tmp_path / "x.npz", {"version": np.array(99)}))
+
+
+def test_every_truncation_is_refused(shape, tmp_path):
+    shape.save(tmp_path / "x.npz")
+    whole = (tmp_path / "x.npz").read_bytes()
+    for length in range(0, len(whole), 37):
+        (tmp_path / "x.npz").write_bytes(whole[:length])
+        with pytest.raises(GeometryReadError):
+            fsh.load_shape(tmp_path / "x.npz")
+
+
+def test_flipped_bytes_never_crash(shape, tmp_path, rng):
+    shape.save(tmp_path / "x.npz")
+    whole = bytearray((tmp_path / "x.npz").read_bytes())
+    refused = 0
+    for position in rng.integers(0, len(whole), 300):
+        damaged = bytearray(whole)
+        damaged[position] ^= 0xFF
+        (tmp_path / "x.npz").write_bytes(bytes(damaged))
+        try:
+            fsh.load_shape(tmp_path / "x.npz")
+        except GeometryReadError:
+            refused += 1
+    assert refused > 150  # the checksums of the archive catch what hits the arrays; dates and attributes do not matter
+
+
+def test_pickles_are_refused(shape, tmp_path):
+    shape.save(tmp_path / "x.npz")
+    with zipfile.ZipFile(tmp_path / "x.npz") as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    pickled = io.BytesIO()
+    np.save(pickled, np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    entries["center.npy"] = pickled.getvalue()
+    with zipfile.ZipFile(tmp_path / "x.npz", "w") as archive:
+        for name, data in entries.items():
+            archive.writestr(name, data)
+    with pytest.raises(GeometryReadError):
+        fsh.load_shape(tmp_path / "x.npz")
+
+
+def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr("fsh3d_o3d.shapes.storage._MAXIMUM_BYTES", 10**6)
+    with zipfile.ZipFile(tmp_path / "x.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("coefficients.npy", bytes(10**7))
+    with pytest.raises(GeometryReadError, match="would take more than"):
+        fsh.load_shape(tmp_path / "x.npz")
