@@ -1,0 +1,53 @@
+"""Fixtures for all tests: seeded randomness, a private cache folder, the real shapes where they are at hand."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import hypothesis
+import numpy as np
+import pytest
+
+# A shared machine may pause for longer than Hypothesis' deadline of 200 ms; no test is about time.
+hypothesis.settings.register_profile("fsh3d", deadline=None, max_examples=25)
+hypothesis.settings.load_profile("fsh3d")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--seed", type=int, default=20240, help="seed of the `rng` fixture")
+
+
+def pytest_report_header(config: pytest.Config) -> str:
+    return f"seed: {config.getoption('--seed')} (repeat with --seed)"
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """A generator that depends on --seed and on the test, not on which tests run before it."""
+    return np.random.default_rng([request.config.getoption("--seed"), zlib.crc32(request.node.nodeid.encode())])
+
+
+@pytest.fixture
+def random_rotation(rng: np.random.Generator) -> np.ndarray:
+    """A rotation matrix (3, 3), uniformly distributed."""
+    q, r = np.linalg.qr(rng.standard_normal((3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.linalg.det(q)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def private_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Point the package's cache to a folder of this session: tests neither use nor fill the user's."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FSH3D_CACHE_DIR", str(folder))
+        yield folder
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path | None:
+    """The folder of unpacked real shapes beside the project, or None: no test may depend on it."""
+    folder = Path(__file__).parents[2] / "data"
+    return folder if folder.is_dir() else None
