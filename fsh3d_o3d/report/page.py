@@ -1,0 +1,294 @@
+"""One HTML file that shows an original, its reconstruction and how far they are apart; works offline."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsh3d_o3d._validation import Float64Array, real_array
+from fsh3d_o3d._version import __version__
+from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays, geometry_arrays
+from fsh3d_o3d.adapters.writing import atomic_write_bytes
+from fsh3d_o3d.report._colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, color_stops, css_color, error_colors
+from fsh3d_o3d.report._display import Displayed, common_frame, displayed, geometry_json, packed, shaded_points
+from fsh3d_o3d.report._figures import FigureValue, figure_rows, percent_text
+from fsh3d_o3d.report._html import asset, code_block, data_block, escaped, png_source, table
+from fsh3d_o3d.report._view import DEFAULT_DIRECTION
+from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail, side_by_side
+
+__all__ = ["reconstruction_picture", "write_reconstruction_page"]
+
+_FIELD = math.radians(45)  # of view of plotly's camera
+_STILL = 400  # pixels of a still picture
+_QUANTILE = 0.99  # of the errors, where the colour scale ends, so that one spike does not hide everything else
+
+
+def write_reconstruction_page(
+    path: str | os.PathLike[str],
+    *,
+    title: str,
+    original: Any,
+    reconstruction: Any,
+    errors: Any,
+    energies: Any,
+    figures: Mapping[str, FigureValue],
+    options: Mapping[str, FigureValue] | None = None,
+) -> None:
+    """Write a page with both shapes as interactive 3D, the error on the surface, energies and figures.
+
+    The file holds everything it needs, plotly's script among it, and asks the network for nothing. A policy in it lets
+    only its own scripts run. Large meshes and clouds are shown with fewer triangles or points, and the page says so;
+    figures are shown as given. The same input gives the same bytes.
+
+    Args:
+        path: The HTML file; replaced as a whole or not at all.
+        title: Any text, such as the name of the file.
+        original: ``MeshArrays``, ``PointArrays`` or Open3D triangle mesh or point cloud.
+        reconstruction: ``MeshArrays`` or Open3D triangle mesh.
+        errors: (v,) distance of each vertex of the reconstruction to the original, >= 0, in the units of the geometry.
+        energies: (b,) energy of each degree (``degree_energies``), >= 0.
+        figures: What the measurement found. ``rmse``, ``mae``, ``max`` (parts of the bounding-box diagonal) and
+            ``volume_error`` (a part of the volume) are written in percent; ``method``, ``bandwidth``, ``diagonal``,
+            ``closed`` and ``genus`` are explained too; others stay as they are.
+        options: How it was done, shown in a table of its own.
+
+    Raises:
+        TypeError: An argument of another kind.
+        ValueError: Arrays of the wrong shape or range.
+        GeometryError: A geometry that is empty or has no extent.
+        OSError: The file cannot be written.
+    """
+    if not isinstance(title, str):
+        raise TypeError(f"title must be text, got {type(title).__name__}")
+    first, second, distances = _checked(original, reconstruction, errors)
+    spectrum = real_array(energies, "energies")
+    if spectrum.ndim != 1 or len(spectrum) == 0 or spectrum.min() < 0:
+        raise ValueError(f"energies must have shape (b,) with b >= 1 and be >= 0, got {spectrum.shape}")
+    relative = distances / (first.diagonal or 1.0)
+    top = _scale_end(relative)
+    frame, reach = common_frame(first, second)
+    shapes = {"original": displayed(first, frame), "reconstruction": displayed(second, frame)}
+    pictures = [encode_png(image) for image in _pictures(first, second, relative, top, background=None, size=_STILL)]
+    tables = [table("Figures", figure_rows(figures))] if figures else []
+    tables += [table("Method and options", figure_rows(options))] if options else []
+    body = "\n".join(
+        [
+            _header(title),
+            "<main>",
+            '<p id="trouble" role="status" hidden></p>',
+            _views(title, shapes, pictures, relative, top),
+            '<section class="columns">',
+            f'<div class="stack">{_cards(tables)}</div>' if tables else "",
+            f'<div class="stack">{_cards([_energy_figure(spectrum), _reading()])}</div>',
+            "</section>",
+            "</main>",
+            f"<footer>Made by fsh3d_o3d {escaped(__version__)}; plots by plotly.js.</footer>",
+        ]
+    )
+    data = _page_data(first, shapes, relative, top, spectrum, reach)
+    atomic_write_bytes(path, _document(title, body, data).encode("utf-8"))
+
+
+def reconstruction_picture(original: Any, reconstruction: Any, errors: Any, *, size: int = 480) -> NDArray[np.uint8]:
+    """Return original, reconstruction and error map side by side with captions, (h, w, 3) uint8.
+
+    All three have the same direction and scale. Arguments as for :func:`write_reconstruction_page`; ``size`` is the
+    side of each picture in pixels.
+    """
+    first, second, distances = _checked(original, reconstruction, errors)
+    relative = distances / (first.diagonal or 1.0)
+    top = _scale_end(relative)
+    images = _pictures(first, second, relative, top, background=(1.0, 1.0, 1.0), size=size)
+    scale = f"error, dark = {100 * top:.2g} % of diagonal"
+    return side_by_side(images, ["original", "reconstruction", scale])
+
+
+def _checked(
+    original: Any, reconstruction: Any, errors: Any
+) -> tuple[MeshArrays | PointArrays, MeshArrays, Float64Array]:
+    first, second = geometry_arrays(original)[0], geometry_arrays(reconstruction)[0]
+    if not isinstance(second, MeshArrays):
+        raise TypeError("reconstruction must be a triangle mesh, got a point cloud")
+    distances = real_array(errors, "errors").astype(np.float64)
+    if distances.shape != (len(second.vertices),):
+        raise ValueError(
+            f"errors must have shape (v,) = ({len(second.vertices)},), one for each vertex of the reconstruction, "
+            f"got {distances.shape}"
+        )
+    if distances.min() < 0:
+        raise ValueError(f"errors must be distances >= 0, but the least is {distances.min():g}")
+    return first, second, distances
+
+
+def _scale_end(relative: Float64Array) -> float:
+    """Return the error at the dark end of the colour scale, > 0."""
+    return float(np.quantile(relative, _QUANTILE)) or float(relative.max()) or 1e-12
+
+
+def _pictures(
+    original: MeshArrays | PointArrays,
+    reconstruction: MeshArrays,
+    relative: Float64Array,
+    top: float,
+    *,
+    background: Any,
+    size: int,
+) -> list[NDArray[np.uint8]]:
+    look: dict[str, Any] = {"width": size, "height": size, "background": background}
+    return [
+        render_thumbnail(original, color=ORIGINAL_COLOR, **look),
+        render_thumbnail(reconstruction, color=RECONSTRUCTION_COLOR, around=original, **look),
+        render_thumbnail(reconstruction, colors=error_colors(relative, top), around=original, **look),
+    ]
+
+
+def _page_data(
+    original: MeshArrays | PointArrays,
+    shapes: Mapping[str, Displayed],
+    relative: Float64Array,
+    top: float,
+    energies: Float64Array | Any,
+    reach: float,
+) -> dict[str, Any]:
+    first, second = shapes["original"], shapes["reconstruction"]
+    towards = np.array(DEFAULT_DIRECTION) / np.linalg.norm(DEFAULT_DIRECTION)
+    # A light is placed in the units of the data: above the viewer's left shoulder, far away.
+    left = np.cross(towards, (0.0, 0.0, 1.0))
+    light = 1e3 * (0.6 * towards + 0.7 * left / np.linalg.norm(left) + (0.0, 0.0, 0.7))
+    colors = shaded_points(first, original, ORIGINAL_COLOR, light) if isinstance(original, PointArrays) else None
+    # The bounding sphere fits the field of view. Plotly measures in sides of the cube that holds both shapes.
+    radius = max(float(np.linalg.norm(shape.points, axis=1).max()) for shape in shapes.values())
+    distance = 1.05 * radius / (2 * reach) / math.sin(_FIELD / 2)
+    common = {"light": dict(zip("xyz", light.tolist(), strict=True))}
+    size = float(np.clip(240 / math.sqrt(len(first.points)), 1.2, 5))
+    return {
+        "reach": reach,
+        "eye": dict(zip("xyz", (distance * towards).tolist(), strict=True)),
+        "geometries": {
+            "original": geometry_json(first, colors),
+            "reconstruction": geometry_json(second, None),
+        },
+        "views": [
+            {"id": "plot-original", "geometry": "original", "color": css_color(ORIGINAL_COLOR), "size": size} | common,
+            {"id": "plot-reconstruction", "geometry": "reconstruction", "color": css_color(RECONSTRUCTION_COLOR)}
+            | common,
+            {"id": "plot-error", "geometry": "reconstruction", "errors": True} | common,
+        ],
+        "errors": {
+            "percent": packed(100 * relative[second.source], "f4"),
+            "maximum": 100 * top,
+            "colorscale": color_stops(),
+        },
+        "energies": _energy_json(energies),
+    }
+
+
+def _energy_json(energies: Float64Array | Any) -> dict[str, Any]:
+    positive = energies[energies > 0]
+    decades = math.log10(positive.max()) - math.log10(positive.min()) if positive.size else 1
+    values = [value if value > 0 else None for value in energies.astype(np.float64).tolist()]
+    return {"values": values, "dtick": max(1, math.ceil(decades / 6))}
+
+
+def _header(title: str) -> str:
+    return (
+        f"<header><h1>{escaped(title)}</h1>"
+        '<p class="lead">Original and reconstruction from spherical harmonics</p></header>'
+    )
+
+
+def _views(
+    title: str, shapes: Mapping[str, Displayed], pictures: list[bytes], relative: Float64Array, top: float
+) -> str:
+    stops = ", ".join(f"{color} {100 * position:.1f}%" for position, color in color_stops())
+    middle, end = percent_text(top / 2), percent_text(top)
+    scale = (
+        f'<div class="scale"><div class="ramp" role="img" aria-label="Colour scale from 0 to {end}" '
+        f'style="background:linear-gradient(to right, {stops})"></div>'
+        f'<div class="ends"><span>0</span><span>{middle}</span><span>{end}</span></div></div>'
+    )
+    error_note = (
+        f"Distance to the original in percent of its bounding-box diagonal. The scale ends at the 99th percentile of "
+        f"the vertices; the largest is {percent_text(float(relative.max()))}."
+    )
+    views = (
+        ("original", "Original", shapes["original"].note(), ""),
+        ("reconstruction", "Reconstruction", shapes["reconstruction"].note(), ""),
+        ("error", "Error", error_note, scale),
+    )
+    figures = "".join(
+        f'<figure class="card"><h2>{name}</h2><div class="stage">'
+        f'<img src="{png_source(png)}" alt="{name} of {escaped(title)}, still picture">'
+        f'<div class="plot" id="plot-{key}" role="img" aria-label="{name} of {escaped(title)}, interactive"></div>'
+        f"</div>{extra}<figcaption>{note}</figcaption></figure>"
+        for (key, name, note, extra), png in zip(views, pictures, strict=True)
+    )
+    hint = '<p class="hint">Drag to turn, scroll to zoom; the three views move together.</p>'
+    return f'<section class="views" aria-label="Shapes">{figures}</section>{hint}'
+
+
+def _energy_figure(energies: Float64Array | Any) -> str:
+    power = np.cumsum(np.square(energies / (energies.max() or 1.0)))
+    enough = int(np.searchsorted(power, (1 - 1e-6) * power[-1]))
+    note = (
+        "The root of the sum of squared coefficients of each degree, which no rotation changes. Degree 0 is the mean, "
+        f"higher degrees are finer detail. Degrees up to {enough} of {len(energies) - 1} hold all but a millionth of "
+        "the sum of squares."
+    )
+    return (
+        '<h2>Energy of each degree</h2><div id="plot-energies" role="img" '
+        f'aria-label="Energy of each of {len(energies)} degrees on a logarithmic scale"></div>'
+        f"<p><small>{note}</small></p>"
+    )
+
+
+def _reading() -> str:
+    return (
+        "<h2>How to read this</h2><p><small>The reconstruction is the surface that comes back from the coefficients "
+        "alone. Its distance to the original is what the chosen number of degrees could not express, together with "
+        "the resolution of the mesh that is drawn from them. Even, pale colour means the error is spread evenly and "
+        "small; dark spots often lie where detail is finer than the highest degree.</small></p>"
+    )
+
+
+def _cards(contents: list[str]) -> str:
+    return "".join(f'<div class="card">{content}</div>' for content in contents)
+
+
+def _document(title: str, body: str, data: Mapping[str, Any]) -> str:
+    # Imported here: the pages are rare and plotly takes a moment.
+    from plotly.offline import get_plotlyjs
+
+    library, library_source = code_block(get_plotlyjs())
+    page, page_source = code_block(asset("page.js"))
+    # Plotly styles elements and builds functions from text; nothing may come from elsewhere.
+    policy = (
+        f"default-src 'none'; script-src {library_source} {page_source} 'unsafe-eval'; "
+        "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'"
+    )
+    return "\n".join(
+        [
+            "<!DOCTYPE html>",
+            '<html lang="en">',
+            "<head>",
+            '<meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{escaped(title)}</title>",
+            f"<style>\n{asset('page.css')}</style>",
+            "</head>",
+            "<body>",
+            body,
+            data_block("report-data", data),
+            library,
+            page,
+            "</body>",
+            "</html>",
+            "",
+        ]
+    )
