@@ -10,6 +10,7 @@ from fsh3d_o3d.adapters.reading import read_geometry
 from fsh3d_o3d.adapters.surface_error import SurfaceError, surface_error, vertex_distances
 from fsh3d_o3d.adapters.writing import write_geometry
 from fsh3d_o3d.errors import (
+    ConvergenceWarning,
     CoverageError,
     GeometryError,
     GeometryReadError,
@@ -34,6 +35,7 @@ __all__ = [
     "vertex_distances",
     "write_geometry",
     # errors
+    "ConvergenceWarning",
     "CoverageError",
     "GeometryError",
     "GeometryReadError",

@@ -101,7 +101,7 @@ def point(value: object, name: str) -> Float64Array:
 def directions(value: object, name: str = "directions") -> Float64Array:
     """Return an (n, 3) float64 array of unit vectors; lengths off by more than 1e-6 are refused."""
     array = vectors(value, name)
-    length = np.linalg.norm(array, axis=1)
+    length = np.linalg.norm(np.clip(array, -1e100, 1e100), axis=1)  # clipped: a square must not overflow
     worst = float(np.abs(length - 1).max())
     if worst > 1e-6:
         raise ValueError(
@@ -122,8 +122,8 @@ def coefficients(value: object, name: str = "coefficients") -> tuple[FloatArray,
 
 
 def memory(estimate: float, what: str, limit: float = _DEFAULT_MEMORY_LIMIT) -> None:
-    """Refuse a request whose estimated memory in bytes exceeds ``limit`` (and what the machine has free)."""
-    limit = min(limit, _available_memory())
+    """Refuse a request whose estimated memory in bytes exceeds ``limit`` or most of what the machine has free."""
+    limit = min(limit, 0.8 * _available_memory())
     if estimate > limit:
         raise MemoryEstimateError(
             f"{what} needs about {estimate / 2**30:.1f} GiB, more than the {limit / 2**30:.1f} GiB allowed here"

@@ -7,6 +7,7 @@ tell apart the cases that need a different reaction.
 from __future__ import annotations
 
 __all__ = [
+    "ConvergenceWarning",
     "CoverageError",
     "GeometryError",
     "GeometryReadError",
@@ -34,6 +35,10 @@ class CoverageError(GeometryError):
 
 class MemoryEstimateError(ValueError):
     """A request whose estimated memory exceeds the limit; refused before anything is allocated."""
+
+
+class ConvergenceWarning(UserWarning):
+    """An iteration that ran out of steps before its tolerance."""
 
 
 class QuadratureWarning(UserWarning):

@@ -109,7 +109,9 @@ class RadialShape:
             )
             fit = fit_radial_cloud(arrays, b, middle, method=cloud_method, smoothness=smoothness, threads=threads)
             return cls(fit.coefficients, middle, kind)
-        grid = fibonacci_grid(grid_size(b, oversampling))
+        size = grid_size(b, oversampling)
+        check.memory(600.0 * size + 2000.0 * b * b, f"a radial function of bandwidth {b} on {size} directions")
+        grid = fibonacci_grid(size)
         middle = _mesh_center(arrays, center)
         radii = sample_radial(arrays, grid.directions, middle, behaviour=behaviour).radii
         transform = SphericalHarmonicTransform(b, grid=grid, threads=threads)

@@ -21,11 +21,11 @@ from scipy import linalg
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.errors import QuadratureWarning
+from fsh3d_o3d.errors import MemoryEstimateError, QuadratureWarning
 from fsh3d_o3d.sphere import weight_cache
-from fsh3d_o3d.sphere._threads import blas_threads, resolve_threads
+from fsh3d_o3d.sphere._threads import resolve_threads, single_threaded_blas
 from fsh3d_o3d.sphere.dense_engine import half_turn_parity
-from fsh3d_o3d.sphere.grids import SphericalGrid
+from fsh3d_o3d.sphere.grids import SphericalGrid, require_grid
 from fsh3d_o3d.sphere.harmonics import analyse_exactly, spherical_harmonics
 from fsh3d_o3d.sphere.nufft_engine import NufftEngine, analyse_directly
 
@@ -41,7 +41,7 @@ _COMPILED_BANDWIDTH = 32
 _FAST_TOLERANCE = 1e-13
 _EASY_ITERATIONS = 30
 _HARD_ITERATIONS = 300
-# Root mean square of the weights over the equal weight: by how much quadrature multiplies white noise in the samples.
+# Root mean square of the weights over their mean: by how much quadrature multiplies white noise in the samples.
 _MAXIMUM_AMPLIFICATION = 2.0
 _LARGEST_DIRECT = 2200  # equations; below, a factorisation beats hundreds of iterations
 
@@ -89,8 +89,17 @@ def analytic_weights(
     Warns:
         QuadratureWarning: The conditions are not met to 1e-10; gives the figures and the remedy.
     """
+    solution = solve_weights(grid, bandwidth, threads=threads, cache=cache)
+    warn_if_inexact(solution, grid, stacklevel=3)
+    return solution
+
+
+def solve_weights(
+    grid: SphericalGrid, bandwidth: int, *, threads: int | None = None, cache: bool = True
+) -> WeightSolution:
+    """As ``analytic_weights``, without the warning."""
     b = check.bandwidth(bandwidth)
-    n = len(grid)
+    n = len(require_grid(grid))
     if n < 4 * b * b:
         raise ValueError(
             f"bandwidth {b} needs at least 4b² = {4 * b * b} points for the conditions of Eq. (8), and 6b² = "
@@ -101,7 +110,7 @@ def analytic_weights(
     solution = weight_cache.find(key, n) if cache else None
     if solution is None:
         system = _System(grid, b, threads)
-        with blas_threads(1):  # dot products are too short to share, and waiting for a second thread costs more
+        with single_threaded_blas():  # dot products are too short to share, and the factorisation has to be repeatable
             weights, iterations = _solve(system)
         weights.setflags(write=False)
         residual = system.residual(weights)
@@ -117,17 +126,23 @@ def analytic_weights(
         )
         if cache:
             weight_cache.keep(key, solution)
-    if not solution.converged:
-        warnings.warn(
-            f"the {grid.name} grid of {n} = {n / (b * b):.2f}b² points misses the conditions of Eq. (8) for bandwidth "
-            f"{b} by {solution.residual:.1e} (weights {solution.minimum * n / (4 * np.pi):.2f} … "
-            f"{solution.maximum * n / (4 * np.pi):.2f} of equal, {solution.negative} negative); a Fibonacci grid of "
-            f'6b² = {6 * b * b} points meets them, and analysis="least_squares" recovers band-limited functions on '
-            "this one",
-            QuadratureWarning,
-            stacklevel=2,
-        )
     return solution
+
+
+def warn_if_inexact(solution: WeightSolution, grid: SphericalGrid, *, stacklevel: int) -> None:
+    """Warn where the conditions are not met, with the figures and the remedy."""
+    if solution.converged:
+        return
+    n, b = len(grid), solution.bandwidth
+    warnings.warn(
+        f"the {grid.name} grid of {n} = {n / (b * b):.2f}b² points misses the conditions of Eq. (8) for bandwidth "
+        f"{b} by {solution.residual:.1e} (weights {solution.minimum * n / (4 * np.pi):.2f} … "
+        f"{solution.maximum * n / (4 * np.pi):.2f} of equal, {solution.negative} negative); a Fibonacci grid of "
+        f'6b² = {6 * b * b} points meets them, and analysis="least_squares" recovers band-limited functions on '
+        "this one",
+        QuadratureWarning,
+        stacklevel=stacklevel,
+    )
 
 
 class _System:
@@ -178,9 +193,10 @@ class _System:
         return np.where(self.kept, self.target - moments, 0.0)
 
     def amplification(self, weights: Float64Array) -> float:
-        """Root mean square of weights on the kept points, over the equal weight."""
-        n = len(self.grid)
-        return float(np.sqrt((self.multiplicity * weights**2).sum() * n) / (4 * np.pi))
+        """Root mean square over mean, for weights on the kept points."""
+        mean_square = float(self.multiplicity @ weights**2) / len(self.grid)
+        mean = float(self.multiplicity @ weights) / len(self.grid)
+        return np.sqrt(mean_square) / abs(mean) if mean else np.inf
 
 
 def _solve(system: _System) -> tuple[Float64Array, int]:
@@ -229,7 +245,10 @@ def _correct_equal_weights(system: _System, maximum: int) -> tuple[Float64Array,
 
 def _factorise(system: _System) -> Float64Array | None:
     """The exact minimum-norm solution by Cholesky with refinement, or None where it is singular or too large."""
-    basis = spherical_harmonics(system.points.directions, 2 * system.bandwidth)[:, system.kept]
+    try:
+        basis = spherical_harmonics(system.points.directions, 2 * system.bandwidth)[:, system.kept]
+    except MemoryEstimateError:
+        return None
     gram = basis.T @ (system.multiplicity[:, None] * basis)
     try:
         factor = linalg.cho_factor(gram, lower=True, overwrite_a=True, check_finite=False)

@@ -29,10 +29,11 @@ def degree_energies(coefficients: object) -> FloatArray:
     """
     values, b = check.coefficients(coefficients)
     starts = np.arange(b) ** 2
-    # Scaled first, so that squares neither overflow nor vanish.
-    largest = np.abs(values).max(axis=-1, keepdims=True, initial=0.0)
-    largest[largest == 0] = 1
-    energies = np.sqrt(np.add.reduceat((values / largest) ** 2, starts, axis=-1)) * largest
+    # Scaled first, each degree by its largest, so that squares neither overflow nor vanish.
+    largest = np.maximum.reduceat(np.abs(values), starts, axis=-1)
+    scale = np.where(largest == 0, values.dtype.type(1), largest)
+    scaled = values / np.repeat(scale, 2 * np.arange(b) + 1, axis=-1)
+    energies = np.sqrt(np.add.reduceat(scaled**2, starts, axis=-1)) * largest
     return np.asarray(energies, dtype=values.dtype)
 
 
@@ -76,7 +77,9 @@ def heat_filter(bandwidth: int, time: float) -> Float64Array:
     """Gains of the heat kernel (the Gaussian on the sphere), exp(−t l(l+1)), (b,); no ringing (Bülow 2004)."""
     b = check.bandwidth(bandwidth)
     degree = np.arange(b)
-    return np.asarray(np.exp(-check.number(time, "time", minimum=0.0) * degree * (degree + 1.0)))
+    rate = check.number(time, "time", minimum=0.0)
+    with np.errstate(over="ignore"):  # an infinite exponent is a gain of 0
+        return np.asarray(np.exp(-rate * (degree * (degree + 1.0))))
 
 
 def lanczos_filter(bandwidth: int) -> Float64Array:

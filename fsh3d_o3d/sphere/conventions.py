@@ -91,9 +91,17 @@ def from_packed(packed: object) -> FloatArray:
     b = int((np.sqrt(8 * size + 1) - 1) / 2 + 0.5)
     if size == 0 or b * (b + 1) // 2 != size:
         raise ValueError(f"packed coefficients must have shape (…, b(b+1)/2), got {values.shape}")
+    if values.dtype.kind not in "fiuc":
+        raise TypeError(f"packed coefficients must be numbers, got dtype {values.dtype}")
     values = values.astype(np.complex64 if values.dtype == np.complex64 else np.complex128)
     if not np.isfinite(values).all():
         raise ValueError("packed coefficients must be finite")
+    imaginary = np.abs(values.imag[..., :b]).max(initial=0.0)
+    if imaginary > 1e-6 * np.abs(values).max(initial=0.0):
+        raise ValueError(
+            "packed coefficients are not those of a real function: "
+            f"order 0 has imaginary parts of up to {imaginary:.3g}"
+        )
     return packed_layout(b).unpack(values)
 
 

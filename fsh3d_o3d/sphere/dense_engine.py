@@ -7,7 +7,9 @@ parts leaves two matrices of a quarter of the size each: half the work and half 
 
 from __future__ import annotations
 
+import functools
 import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,12 +17,14 @@ import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, FloatArray, IntArray
-from fsh3d_o3d.sphere._threads import blas_threads
+from fsh3d_o3d.sphere._threads import resolve_threads, run_all, single_threaded_blas
 from fsh3d_o3d.sphere.grids import SphericalGrid
-from fsh3d_o3d.sphere.harmonics import degrees_and_orders, harmonics_by_degree
+from fsh3d_o3d.sphere.harmonics import MAXIMUM_RECURSION, degrees_and_orders, harmonics_by_degree
 
-# Functions per matrix product. Fixed, so that workspaces stay small and results do not depend on threads.
+# Functions and columns per matrix product. Fixed, so that workspaces stay small and results do not depend on threads.
 _CHUNK = 64
+_COLUMNS = 1024
+_WORTH_THREADS = 1e-3  # seconds of work
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,37 +58,52 @@ class DenseEngine:
 
     def analyse(self, values: FloatArray, threads: int | None = None) -> FloatArray:
         """Yᵀ (w v): (batch, n) → (batch, b²)."""
+        threads = resolve_threads(threads)
         blocks = self._matrices(values.dtype, weighted=self._weights is not None)
         result = np.empty((len(values), self.bandwidth**2), dtype=values.dtype)
-        with blas_threads(threads):
-            for rows in _chunks(len(values)):
+        with single_threaded_blas():
+            for rows in _slices(len(values), _CHUNK):
                 parts = self._fold(values[rows]) if self._symmetric else (values[rows],)
                 packed = self._workspace("packed", (len(parts[0]), self.bandwidth**2), values.dtype)
-                start = 0
+                jobs, start = [], 0
                 for block, part in zip(blocks, parts, strict=True):
-                    stop = start + len(block.index)
-                    np.matmul(part, block.matrix.T, out=packed[:, start:stop])
-                    start = stop
+                    for own in _slices(len(block.index), _COLUMNS):
+                        target = packed[:, start + own.start : start + own.stop]
+                        jobs.append(functools.partial(np.matmul, part, block.matrix[own].T, out=target))
+                    start += len(block.index)
+                self._run(jobs, len(parts[0]), values.dtype, threads)
                 np.take(packed, self._order, axis=1, out=result[rows], mode="clip")
         return result
 
     def synthesise(self, coefficients: FloatArray, threads: int | None = None) -> FloatArray:
         """Y c: (batch, b²) → (batch, n)."""
+        threads = resolve_threads(threads)
         blocks = self._matrices(coefficients.dtype, weighted=False)
         n, h = len(self.grid), self._half
         result = np.empty((len(coefficients), n), dtype=coefficients.dtype)
-        with blas_threads(threads):
-            for rows in _chunks(len(coefficients)):
-                parts = []
+        with single_threaded_blas():
+            for rows in _slices(len(coefficients), _CHUNK):
+                jobs, parts = [], []
                 for name, block in zip(("even", "odd"), blocks, strict=False):
-                    own = np.take(coefficients[rows], block.index, axis=1)
-                    out = self._workspace(name, (len(own), h), own.dtype) if self._symmetric else result[rows]
-                    parts.append(np.matmul(own, block.matrix, out=out))
+                    given = np.take(coefficients[rows], block.index, axis=1)
+                    part = self._workspace(name, (len(given), h), given.dtype) if self._symmetric else result[rows]
+                    parts.append(part)
+                    jobs += [
+                        functools.partial(np.matmul, given, block.matrix[:, own], out=part[:, own])
+                        for own in _slices(part.shape[1], _COLUMNS)
+                    ]
+                self._run(jobs, len(parts[0]), coefficients.dtype, threads)
                 if self._symmetric:
                     even, odd = parts
                     np.add(even, odd, out=result[rows, :h])
                     np.subtract(even[:, : n - h], odd[:, : n - h], out=result[rows, : h - 1 : -1])
         return result
+
+    def _run(self, jobs: Sequence[Callable[[], Any]], functions: int, dtype: np.dtype[Any], threads: int) -> None:
+        """Run the products of one chunk, side by side where that is worth starting threads."""
+        elements = self.bandwidth**2 * (self._half if self._symmetric else len(self.grid))
+        seconds = max(2 * functions * elements / 4e10, elements * dtype.itemsize / 1e10)
+        run_all(jobs, threads if seconds > _WORTH_THREADS else 1)
 
     def _fold(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Even and odd parts on the first half of the points; an odd grid's middle point is its own mirror image."""
@@ -121,7 +140,7 @@ class DenseEngine:
 
     def _build(self, dtype: np.dtype[Any]) -> tuple[_Block, ...]:
         points = self.grid.directions[: self._half] if self._symmetric else self.grid.directions
-        b = self.bandwidth
+        b = check.integer(self.bandwidth, "bandwidth of the dense engine", minimum=1, maximum=MAXIMUM_RECURSION)
         check.memory(
             dtype.itemsize * b * b * len(points) * 1.1,
             f"the dense transform of bandwidth {b} on {len(self.grid)} points",
@@ -145,5 +164,5 @@ def half_turn_parity(bandwidth: int) -> IntArray:
     return (degree + order + (order < 0)) % 2
 
 
-def _chunks(count: int) -> list[slice]:
-    return [slice(start, start + _CHUNK) for start in range(0, count, _CHUNK)]
+def _slices(count: int, length: int) -> list[slice]:
+    return [slice(start, min(start + length, count)) for start in range(0, count, length)]

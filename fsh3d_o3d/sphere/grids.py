@@ -45,8 +45,15 @@ class SphericalGrid:
     """What the grid is, for people and for cache keys: ``"fibonacci"``, ``"equiangular"``, …"""
 
     def __post_init__(self) -> None:
-        for array in (self.directions, self.colatitude, self.longitude):
-            array.setflags(write=False)
+        n = len(self.directions)
+        for name, shape in (("directions", (n, 3)), ("colatitude", (n,)), ("longitude", (n,))):
+            array = getattr(self, name)
+            if array.shape != shape or n == 0:
+                raise ValueError(f"{name} must have shape {shape} with n >= 1, got {array.shape}")
+            if array.flags.writeable:  # the caller's own: left writeable, and copied
+                array = np.array(array, dtype=np.float64)
+                array.setflags(write=False)
+                object.__setattr__(self, name, array)
 
     def __len__(self) -> int:
         """Number of directions."""
@@ -59,7 +66,7 @@ class SphericalGrid:
         Fibonacci and equiangular grids have this symmetry; transforms use it to halve their work.
         """
         mirrored = self.directions[::-1] * np.array([1.0, -1.0, -1.0])
-        # 4 ulp: grids built from angles keep the symmetry to rounding only.
+        # A few ulp, for grids that others built from angles.
         return bool(np.abs(mirrored - self.directions).max() <= 1e-15)
 
     @functools.cached_property
@@ -78,7 +85,6 @@ def grid_size(bandwidth: int, oversampling: float | None = None) -> int:
     return int(np.ceil(4 * bandwidth**2 * factor))
 
 
-@functools.lru_cache(maxsize=16)
 def fibonacci_grid(n: int) -> SphericalGrid:
     """Return the spherical Fibonacci grid of the paper's Eq. (4).
 
@@ -93,7 +99,12 @@ def fibonacci_grid(n: int) -> SphericalGrid:
         ValueError: ``n`` is out of range.
     """
     n = check.integer(n, "n", minimum=1, maximum=_MAXIMUM_POINTS)
-    check.memory(12 * 8.0 * n, f"a Fibonacci grid of {n} points")
+    check.memory(200.0 * n, f"a Fibonacci grid of {n} points")
+    return _fibonacci_grid(n)
+
+
+@functools.lru_cache(maxsize=16)
+def _fibonacci_grid(n: int) -> SphericalGrid:
     # Twice d, so that it is an integer for even n as well; the upper half of the sphere has d <= 0.
     half = (n + 1) // 2
     twice_d = np.arange(1 - n, 1 - n + 2 * half, 2, dtype=np.int64)
@@ -108,15 +119,14 @@ def fibonacci_grid(n: int) -> SphericalGrid:
     directions[:half] = np.stack([x, y, z], axis=1)
     directions[n - half :] = np.stack([x, -y + 0.0, -z + 0.0], axis=1)[::-1]
     mirrored_turns = np.where(turns == 0, 0.0, 1.0 - turns)
-    return SphericalGrid(
-        directions=directions,
-        colatitude=np.concatenate([colatitude, (np.pi - colatitude[: n - half])[::-1]]),
-        longitude=2 * np.pi * np.concatenate([turns, mirrored_turns[: n - half][::-1]]),
-        name="fibonacci",
+    return _grid(
+        directions,
+        np.concatenate([colatitude, (np.pi - colatitude[: n - half])[::-1]]),
+        2 * np.pi * np.concatenate([turns, mirrored_turns[: n - half][::-1]]),
+        "fibonacci",
     )
 
 
-@functools.lru_cache(maxsize=8)
 def equiangular_grid(bandwidth: int) -> SphericalGrid:
     """Return the equiangular 2b × 2b grid with half-step offsets, row by row from the north.
 
@@ -127,24 +137,38 @@ def equiangular_grid(bandwidth: int) -> SphericalGrid:
         ValueError: ``bandwidth`` is out of range.
     """
     b = check.bandwidth(bandwidth)
-    theta = np.pi * (2 * np.arange(2 * b) + 1) / (4 * b)
-    phi = np.pi * (2 * np.arange(2 * b) + 1) / (2 * b)
-    return _grid_from_angles(np.repeat(theta, 2 * b), np.tile(phi, 2 * b), "equiangular")
+    check.memory(200.0 * 4 * b * b, f"an equiangular grid of {4 * b * b} points")
+    return _equiangular_grid(b)
 
 
 @functools.lru_cache(maxsize=8)
+def _equiangular_grid(b: int) -> SphericalGrid:
+    theta = np.pi * (2 * np.arange(2 * b) + 1) / (4 * b)
+    phi = np.pi * (2 * np.arange(2 * b) + 1) / (2 * b)
+    grid = _grid_from_angles(np.repeat(theta, 2 * b), np.tile(phi, 2 * b), "equiangular")
+    # South of the equator the mirror image of the north, to the last bit: half-turn symmetric for every b.
+    directions = grid.directions.copy()
+    directions[2 * b * b :] = (directions[: 2 * b * b] * [1.0, -1.0, -1.0])[::-1]
+    return _grid(directions, grid.colatitude, grid.longitude, grid.name)
+
+
 def healpix_grid(nside: int) -> SphericalGrid:
     """Return the HEALPix pixel centres in ring order, n = 12·nside² (Górski et al. 2005).
 
     Any ``nside`` from 1 on is valid in ring order, not only powers of two.
     """
     nside = check.integer(nside, "nside", minimum=1, maximum=2048)
+    check.memory(200.0 * 12 * nside * nside, f"a HEALPix grid of {12 * nside * nside} points")
+    return _healpix_grid(nside)
+
+
+@functools.lru_cache(maxsize=8)
+def _healpix_grid(nside: int) -> SphericalGrid:
     base = ducc0.healpix.Healpix_Base(nside, "RING")
     angles = base.pix2ang(np.arange(12 * nside * nside))
     return _grid_from_angles(angles[:, 0], angles[:, 1] % (2 * np.pi), "healpix")
 
 
-@functools.lru_cache(maxsize=8)
 def icosahedral_grid(level: int) -> SphericalGrid:
     """Return the vertices of a geodesic icosahedron whose edges are split 3·2^k times, n = 90·4^k + 2.
 
@@ -155,10 +179,15 @@ def icosahedral_grid(level: int) -> SphericalGrid:
     return grid_from_directions(directions, name="icosahedral")
 
 
-@functools.lru_cache(maxsize=8)
 def cube_grid(k: int) -> SphericalGrid:
     """Return the cell centres of an equiangular cubed sphere, n = 6k² (gnomonic projection, equal angles)."""
     k = check.integer(k, "k", minimum=1, maximum=4000)
+    check.memory(300.0 * 6 * k * k, f"a cube grid of {6 * k * k} points")
+    return _cube_grid(k)
+
+
+@functools.lru_cache(maxsize=8)
+def _cube_grid(k: int) -> SphericalGrid:
     tangent = np.tan(np.pi / 4 * ((2 * np.arange(k) + 1) / k - 1))
     u, v = (a.ravel() for a in np.meshgrid(tangent, tangent, indexing="ij"))
     face = np.stack([np.ones_like(u), u, v], axis=1)
@@ -178,13 +207,31 @@ def grid_from_directions(directions: object, *, name: str = "scattered") -> Sphe
     longitude = np.arctan2(vectors[:, 1], vectors[:, 0]) % (2 * np.pi)
     # The remainder of a tiny negative angle rounds up to 2π itself.
     longitude[longitude >= 2 * np.pi] = 0.0
-    return SphericalGrid(vectors, colatitude, longitude, name)
+    return _grid(vectors, colatitude, longitude, name)
+
+
+def require_grid(value: object, name: str = "grid") -> SphericalGrid:
+    """Return ``value`` if it is a grid.
+
+    Raises:
+        TypeError: It is not; says how to make one.
+    """
+    if not isinstance(value, SphericalGrid):
+        raise TypeError(f"{name} must be a SphericalGrid, got {type(value).__name__}; see grid_from_directions")
+    return value
+
+
+def _grid(directions: Float64Array, colatitude: Float64Array, longitude: Float64Array, name: str) -> SphericalGrid:
+    """A grid that owns its arrays, without copying them."""
+    for array in (directions, colatitude, longitude):
+        array.setflags(write=False)
+    return SphericalGrid(directions, colatitude, longitude, name)
 
 
 def _grid_from_angles(colatitude: Float64Array, longitude: Float64Array, name: str) -> SphericalGrid:
     sine = np.sin(colatitude)
     directions = np.stack([sine * np.cos(longitude), sine * np.sin(longitude), np.cos(colatitude)], axis=1)
-    return SphericalGrid(directions, colatitude, longitude, name)
+    return _grid(directions, colatitude, longitude, name)
 
 
 def _fractional_golden(twice_d: np.ndarray[tuple[int], np.dtype[np.int64]]) -> Float64Array:

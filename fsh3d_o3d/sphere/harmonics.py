@@ -19,6 +19,8 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 
 __all__ = ["degrees_and_orders", "spherical_harmonics"]
 
+MAXIMUM_RECURSION = 1900
+"""Bandwidth up to which the recursion holds: beyond, (sin θ)^m underflows where the harmonic does not."""
 _CHUNK = 512  # points at a time, so that the recursion stays in the processor's cache
 
 
@@ -27,7 +29,7 @@ def spherical_harmonics(directions: object, bandwidth: int) -> Float64Array:
 
     Args:
         directions: (n, 3) unit vectors.
-        bandwidth: b.
+        bandwidth: b, up to 1900; ``evaluate`` has no such limit.
 
     Returns:
         (n, b²) float64, column l² + l + m.
@@ -36,9 +38,9 @@ def spherical_harmonics(directions: object, bandwidth: int) -> Float64Array:
         ValueError: Directions are not unit vectors, or the bandwidth is out of range.
         MemoryEstimateError: The matrix would not fit.
     """
-    b = check.bandwidth(bandwidth)
+    b = check.integer(bandwidth, "bandwidth", minimum=1, maximum=MAXIMUM_RECURSION)
     vectors = check.directions(directions)
-    check.memory(8.0 * len(vectors) * b * b * 1.2, f"the matrix of {b * b} harmonics at {len(vectors)} directions")
+    check.memory(8.0 * len(vectors) * b * b * 2.1, f"the matrix of {b * b} harmonics at {len(vectors)} directions")
     rows = np.empty((b * b, len(vectors)))
     for degree, cosine, sine in harmonics_by_degree(vectors, b):
         rows[degree * degree + degree : (degree + 1) ** 2] = cosine

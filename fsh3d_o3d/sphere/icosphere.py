@@ -12,7 +12,6 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 __all__ = ["icosphere"]
 
 
-@functools.lru_cache(maxsize=8)
 def icosphere(frequency: int) -> tuple[Float64Array, IntArray]:
     """Return the unit icosahedron with every edge cut into ``frequency`` equal arcs, and its triangles.
 
@@ -24,6 +23,12 @@ def icosphere(frequency: int) -> tuple[Float64Array, IntArray]:
         ValueError: ``frequency`` is out of range.
     """
     f = check.integer(frequency, "frequency", minimum=1, maximum=2000)
+    check.memory(3000.0 * f * f, f"an icosphere of {10 * f * f + 2} points")
+    return _icosphere(f)
+
+
+@functools.lru_cache(maxsize=8)
+def _icosphere(f: int) -> tuple[Float64Array, IntArray]:
     corners, faces = _icosahedron()
     # Barycentric lattice of one face: (i, j, f - i - j), then all twenty at once.
     i, j = (index.astype(np.int64) for index in np.nonzero(np.add.outer(np.arange(f + 1), np.arange(f + 1)) <= f))

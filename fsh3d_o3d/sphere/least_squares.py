@@ -8,12 +8,14 @@ energy of the function, a thin-plate spline on the sphere (Wahba 1981): it fills
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import FloatArray
+from fsh3d_o3d.errors import ConvergenceWarning
 from fsh3d_o3d.sphere.engines import Engine, EnginePair
 from fsh3d_o3d.sphere.grids import SphericalGrid, grid_from_directions
 from fsh3d_o3d.sphere.harmonics import degrees_and_orders
@@ -32,7 +34,7 @@ class LeastSquaresFit:
     residual: float
     """Norm of the gradient over that at zero coefficients, the worst of the batch."""
     converged: bool
-    """Whether ``residual`` is within the tolerance."""
+    """Whether ``residual`` reached the tolerance, or stopped falling at the floor that rounding sets."""
 
 
 def fit_coefficients(
@@ -43,7 +45,7 @@ def fit_coefficients(
     weights: object | None = None,
     smoothness: float = 0.0,
     tolerance: float = 1e-13,
-    max_iterations: int = 500,
+    max_iterations: int = 1000,
     threads: int | None = None,
 ) -> LeastSquaresFit:
     """Fit functions of degree < b to samples at scattered directions.
@@ -61,6 +63,9 @@ def fit_coefficients(
 
     Raises:
         ValueError: Wrong shapes or ranges; or fewer samples than coefficients and no smoothness.
+
+    Warns:
+        ConvergenceWarning: The steps ran out: the samples leave too much open for so little smoothness.
     """
     b = check.bandwidth(bandwidth)
     grid = directions if isinstance(directions, SphericalGrid) else grid_from_directions(directions)
@@ -92,7 +97,7 @@ def solve_least_squares(
     *,
     smoothness: float = 0.0,
     tolerance: float = 1e-13,
-    max_iterations: int = 500,
+    max_iterations: int = 1000,
     threads: int | None = None,
 ) -> LeastSquaresFit:
     """Fit (batch, n) samples on an engine whose weights are those of the samples; gives (batch, b²)."""
@@ -100,18 +105,22 @@ def solve_least_squares(
     penalty = (smoothness * (degree * (degree + 1.0)) ** 2).astype(values.dtype)
     preconditioner = 1 / (1 + penalty)
     tolerance = max(tolerance, 4 * float(np.finfo(values.dtype).eps))
-    gradient = engine.analyse(values, threads)
+    # Each function in its own unit, so that squares neither overflow nor vanish.
+    unit = np.abs(values).max(axis=1, keepdims=True, initial=0.0)
+    unit[unit == 0] = 1
+    gradient = engine.analyse(values / unit, threads)
     scale = np.linalg.norm(gradient, axis=1)
     scale[scale == 0] = 1
     coefficients = np.zeros_like(gradient)
     conditioned = preconditioner * gradient
     step = conditioned
     power = _dot(gradient, conditioned)
+    floor = float(np.sqrt(np.finfo(values.dtype).eps))
     best, stalled, iterations = np.inf, 0, 0
     for iterations in range(max_iterations + 1):
         residual = float((np.linalg.norm(gradient, axis=1) / scale).max(initial=0.0))
-        # Rounding sets a floor that depends on the data: stop where steps no longer help.
-        stalled = stalled + 1 if residual > 0.9 * best else 0
+        # Residuals rise and fall on the way; only near rounding does no progress mean that none is left.
+        stalled = stalled + 1 if residual > 0.9 * best and best < floor else 0
         best = min(best, residual)
         if residual <= tolerance or stalled >= 10 or iterations == max_iterations:
             break
@@ -123,7 +132,16 @@ def solve_least_squares(
         conditioned = preconditioner * gradient
         previous, power = power, _dot(gradient, conditioned)
         step = conditioned + np.divide(power, previous, out=np.zeros_like(power), where=previous > 0) * step
-    return LeastSquaresFit(coefficients, iterations, residual, residual <= 10 * tolerance)
+    converged = residual <= tolerance or stalled >= 10
+    if not converged:
+        warnings.warn(
+            f"the least-squares fit stopped after {iterations} steps with a gradient of {residual:.1e} of the first: "
+            f"the {len(engine.grid)} samples do not determine {engine.bandwidth**2} coefficients well; use more "
+            "smoothness or a smaller bandwidth",
+            ConvergenceWarning,
+            stacklevel=3,
+        )
+    return LeastSquaresFit(coefficients * unit, iterations, residual, converged)
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:

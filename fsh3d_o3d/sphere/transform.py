@@ -9,9 +9,9 @@ import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, FloatArray
-from fsh3d_o3d.sphere.analytic_weights import WeightSolution, analytic_weights
+from fsh3d_o3d.sphere.analytic_weights import WeightSolution, solve_weights, warn_if_inexact
 from fsh3d_o3d.sphere.engines import EngineName, EnginePair
-from fsh3d_o3d.sphere.grids import SphericalGrid, fibonacci_grid, grid_from_directions, grid_size
+from fsh3d_o3d.sphere.grids import SphericalGrid, fibonacci_grid, grid_from_directions, grid_size, require_grid
 from fsh3d_o3d.sphere.least_squares import solve_least_squares
 from fsh3d_o3d.sphere.nufft_engine import synthesise_gradient
 
@@ -56,17 +56,22 @@ class SphericalHarmonicTransform:
         threads: int | None = None,
     ) -> None:
         self._bandwidth = check.bandwidth(bandwidth)
-        if grid is not None and not isinstance(grid, SphericalGrid):
-            raise TypeError(f"grid must be a SphericalGrid, got {type(grid).__name__}; see grid_from_directions")
+        if grid is not None:
+            require_grid(grid)
         self._analysis = check.choice(analysis, "analysis", ("quadrature", "least_squares"))
         self._threads = None if threads is None else check.integer(threads, "threads", minimum=1, maximum=1024)
         if grid is not None and oversampling is not None:
             raise ValueError("give a grid or an oversampling, not both")
-        self._grid = fibonacci_grid(grid_size(self._bandwidth, oversampling)) if grid is None else grid
+        if grid is None:
+            size = grid_size(self._bandwidth, oversampling)
+            check.memory(200.0 * size, f"a transform of bandwidth {self._bandwidth} on {size} points")
+            grid = fibonacci_grid(size)
+        self._grid = grid
         if weights is None and analysis == "least_squares":
             weights = np.full(len(self._grid), 4 * np.pi / len(self._grid))
         elif weights is None:
-            weights = analytic_weights(self._grid, self._bandwidth, threads=threads)
+            weights = solve_weights(self._grid, self._bandwidth, threads=threads)
+            warn_if_inexact(weights, self._grid, stacklevel=3)
         if isinstance(weights, WeightSolution):
             weights = weights.weights
         self._weights = np.array(check.values_on(weights, "weights", len(self._grid)), dtype=np.float64)

@@ -14,10 +14,9 @@ import logging
 import os
 import tempfile
 import threading
-import zipfile
 from collections import OrderedDict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import platformdirs
@@ -39,15 +38,15 @@ _memory: OrderedDict[str, WeightSolution] = OrderedDict()
 def weight_cache_directory() -> Path:
     """Return the folder where solved weights are kept; it need not exist."""
     root = os.environ.get("FSH3D_CACHE_DIR")
-    return (Path(root) if root else platformdirs.user_cache_path("fsh3d_o3d", appauthor=False)) / "weights"
+    return (Path(root).expanduser() if root else platformdirs.user_cache_path("fsh3d_o3d", appauthor=False)) / "weights"
 
 
 def clear_weight_cache() -> int:
-    """Remove every solution from memory and disk; returns the number of files removed."""
+    """Remove every solution from memory and disk, and what killed processes left; returns the number of files."""
     with _lock:
         _memory.clear()
     removed = 0
-    for path in weight_cache_directory().glob("*.npz"):
+    for path in [*weight_cache_directory().glob("*.npz"), *weight_cache_directory().glob("*.tmp")]:
         with contextlib.suppress(OSError):
             path.unlink()
             removed += 1
@@ -76,7 +75,7 @@ def keep(key: str, solution: WeightSolution) -> None:
     _remember(key, solution)
     path = weight_cache_directory() / f"{key}.npz"
     about = {name: value for name, value in vars(solution).items() if name != "weights"}
-    about["sha256"] = _digest(solution.weights, about)
+    about["sha256"] = _digest(key, solution.weights, about)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
@@ -95,16 +94,16 @@ def _read(path: Path, n: int) -> WeightSolution | None:
     from fsh3d_o3d.sphere.analytic_weights import WeightSolution
 
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             weights, about = file["weights"], json.loads(str(file["about"]))
         digest = about.pop("sha256")
-        if weights.shape != (n,) or weights.dtype != np.float64 or _digest(weights, about) != digest:
+        if weights.shape != (n,) or weights.dtype != np.float64 or _digest(path.stem, weights, about) != digest:
             raise ValueError("checksum differs")
         weights.setflags(write=False)
         return WeightSolution(weights=weights, **about)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+    except Exception as error:  # whatever a damaged file makes the readers do, the weights are then solved again
         _log.warning("ignoring the damaged cache file %s: %s", path, error)
         return None
 
@@ -117,6 +116,6 @@ def _remember(key: str, solution: WeightSolution) -> None:
             _memory.popitem(last=False)
 
 
-def _digest(weights: np.ndarray[tuple[int], np.dtype[np.float64]], about: dict[str, object]) -> str:
-    text = json.dumps({name: about[name] for name in sorted(about)}, sort_keys=True)
+def _digest(key: str, weights: np.ndarray[Any, np.dtype[np.float64]], about: dict[str, object]) -> str:
+    text = json.dumps([key, about], sort_keys=True)
     return hashlib.sha256(np.ascontiguousarray(weights).tobytes() + text.encode()).hexdigest()

@@ -7,14 +7,14 @@ from scipy.spatial import SphericalVoronoi
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.sphere.grids import SphericalGrid
+from fsh3d_o3d.sphere.grids import SphericalGrid, require_grid
 
 __all__ = ["area_weights", "driscoll_healy_weights", "equal_weights"]
 
 
 def equal_weights(grid: SphericalGrid) -> Float64Array:
     """Return the weight 4π/n for every point of a grid, (n,) (Swinbank and Purser 2006)."""
-    return np.full(len(grid), 4 * np.pi / len(grid))
+    return np.full(len(require_grid(grid)), 4 * np.pi / len(grid))
 
 
 def area_weights(grid: SphericalGrid) -> Float64Array:
@@ -23,6 +23,7 @@ def area_weights(grid: SphericalGrid) -> Float64Array:
     Raises:
         ValueError: Fewer than four points, duplicate points, or points that all lie on one circle.
     """
+    require_grid(grid)
     try:
         areas = SphericalVoronoi(grid.directions, radius=1.0, threshold=1e-12).calculate_areas()
     except (ValueError, RuntimeError) as error:

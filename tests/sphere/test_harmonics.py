@@ -52,10 +52,10 @@ def test_addition_theorem(b: int, rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("sine", [0.02, np.exp(-1), 0.6])
-def test_addition_theorem_at_degree_2600(sine: float) -> None:
-    """From degree 1926 on sin^m θ underflows for orders that matter (worst where sin θ = 1/e)."""
-    degree = np.arange(2600)
-    (row,) = fsh.spherical_harmonics([[sine, 0, np.sqrt(1 - sine**2)]], 2600)
+def test_addition_theorem_up_to_the_largest_bandwidth(sine: float) -> None:
+    """From degree 1926 on sin^m θ would underflow for orders that matter (worst where sin θ = 1/e)."""
+    degree = np.arange(1900)
+    (row,) = fsh.spherical_harmonics([[sine, 0, np.sqrt(1 - sine**2)]], 1900)
     sums = np.add.reduceat(row**2, degree**2) * 4 * np.pi / (2 * degree + 1)
     assert np.abs(sums - 1).max() < 1e-10
 
@@ -97,8 +97,8 @@ def test_inputs_are_checked() -> None:
         fsh.spherical_harmonics([[0, 0, 3]], 4)
     with pytest.raises(TypeError, match=r"bandwidth must be an integer, got float 4.0"):
         fsh.spherical_harmonics([[0, 0, 1]], 4.0)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"bandwidth must be between 1 and 4096, got 5000"):
-        fsh.spherical_harmonics([[0, 0, 1]], 5000)
+    with pytest.raises(ValueError, match=r"bandwidth must be between 1 and 1900, got 2600"):
+        fsh.spherical_harmonics([[0, 0, 1]], 2600)
 
 
 def test_memory_is_estimated_and_the_estimate_holds(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,5 +115,5 @@ def test_memory_is_estimated_and_the_estimate_holds(monkeypatch: pytest.MonkeyPa
 
 def test_matrices_that_do_not_fit_are_refused() -> None:
     directions = fsh.fibonacci_grid(10_000).directions
-    with pytest.raises(MemoryEstimateError, match=r"matrix of 16777216 harmonics at 10000 directions needs about \d+"):
-        fsh.spherical_harmonics(directions, 4096)
+    with pytest.raises(MemoryEstimateError, match=r"matrix of 3610000 harmonics at 10000 directions needs about \d+"):
+        fsh.spherical_harmonics(directions, 1900)

@@ -138,7 +138,8 @@ def test_functions_of_very_different_size_in_one_batch(rng: np.random.Generator)
 
 def test_too_few_iterations_are_reported(rng: np.random.Generator) -> None:
     directions, values = scattered(rng, 120), rng.standard_normal(120)
-    short = fsh.fit_coefficients(values, directions, 10, max_iterations=2)
+    with pytest.warns(fsh.ConvergenceWarning, match=r"stopped after 2 steps .* 120 samples"):
+        short = fsh.fit_coefficients(values, directions, 10, max_iterations=2)
     assert short.iterations == 2 and not short.converged and short.residual > 1e-12
     long = fsh.fit_coefficients(values, directions, 10, max_iterations=5000)
     assert long.residual < short.residual

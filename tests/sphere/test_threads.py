@@ -25,7 +25,7 @@ def test_given_threads_are_checked() -> None:
         _threads.resolve_threads("all")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("setting", "expected"), [("1", 1), ("2", 2), ("64", 3), ("0", 1), ("2,2", 3), ("", 3)])
+@pytest.mark.parametrize(("setting", "expected"), [("1", 1), ("2", 2), ("64", 3), ("0", 1), ("2,2", 2), ("", 3)])
 def test_default_is_what_the_process_may_use(setting: str, expected: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_threads.os, "sched_getaffinity", lambda _: {0, 1, 5}, raising=False)
     monkeypatch.setenv("OMP_NUM_THREADS", setting)
@@ -57,11 +57,14 @@ def test_errors_of_jobs_are_raised() -> None:
 def test_blas_setting_is_restored() -> None:
     with threadpool_limits(2, "blas"):
         before = blas()
-        with _threads.blas_threads(1):
+        with _threads.single_threaded_blas():
             assert set(blas()) <= {1}
         assert blas() == before
-        with _threads.blas_threads(None):
-            assert blas() == before
+        with _threads.single_threaded_blas():
+            with _threads.single_threaded_blas():
+                pass
+            assert set(blas()) <= {1}
+        assert blas() == before
 
 
 @pytest.mark.parametrize("first_out", ["main", "worker"])
@@ -70,7 +73,7 @@ def test_blas_setting_survives_overlapping_calls(first_out: str) -> None:
     entered, leave = threading.Event(), threading.Event()
 
     def other() -> None:
-        with _threads.blas_threads(1):
+        with _threads.single_threaded_blas():
             entered.set()
             leave.wait(10)
 
@@ -78,7 +81,7 @@ def test_blas_setting_survives_overlapping_calls(first_out: str) -> None:
     with threadpool_limits(2, "blas"):
         before = blas()
         if first_out == "main":
-            with _threads.blas_threads(1):
+            with _threads.single_threaded_blas():
                 worker.start()
                 entered.wait(10)
             leave.set()
@@ -86,7 +89,7 @@ def test_blas_setting_survives_overlapping_calls(first_out: str) -> None:
         else:
             worker.start()
             entered.wait(10)
-            with _threads.blas_threads(1):
+            with _threads.single_threaded_blas():
                 leave.set()
                 worker.join()
         assert blas() == before

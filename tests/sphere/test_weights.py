@@ -15,7 +15,7 @@ def test_driscoll_healy_is_exact_below_2b(b: int) -> None:
     weights = fsh.driscoll_healy_weights(b)
     grid = fsh.equiangular_grid(b)
     assert weights.shape == (4 * b * b,)
-    assert misses(grid.directions, weights, b) < 2e-15  # rounding of 4b² terms
+    assert misses(grid.directions, weights, b) < 4e-15  # rounding of 4b² terms and of the oracle
     assert weights.sum() == pytest.approx(4 * np.pi, rel=1e-14)
     assert weights.min() > 0
 

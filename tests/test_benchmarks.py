@@ -1,0 +1,166 @@
+"""The benchmarks run at small sizes and report what they say they do; figures of time are never asserted."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fsh3d_o3d as fsh
+from benchmarks import __main__ as command
+from benchmarks import _measure, harmonics
+from benchmarks._table import Check, Column, Curve, Plot, Row, Table, write_tables
+
+# Figures that do not depend on the machine's speed: their targets hold at any size.
+ACCURACY = {
+    "residual",
+    "min·n/4π",
+    "max·n/4π",
+    "negative",
+    "steps",
+    "warned where not exact",
+    "noise ×",
+    "error",
+    "deviation",
+    "RMS in hole",
+}
+TABLES = {
+    "weights": ["weights", "weights_small_grids"],
+    "roundtrip": ["roundtrip"],
+    "harmonics": ["harmonics"],
+    "transform": ["transform_dgemm", "transform_ducc0", "transform_crossover"],
+    "radial": ["radial_meshes", "radial_clouds"],
+}
+
+
+@pytest.mark.parametrize("name", list(command.BENCHMARKS))
+def test_quick_run_gives_well_formed_tables(name: str) -> None:
+    tables = list(command.BENCHMARKS[name](quick=True))
+    assert [table.name for table in tables] == TABLES[name]
+    for table in tables:
+        keys = {column.key for column in table.columns}
+        assert table.rows
+        for row in table.rows:
+            assert set(row.cells) == keys
+            times = [cell for cell in row.cells.values() if isinstance(cell, _measure.Timing)]
+            assert all(0 < timing.minimum <= timing.median <= timing.maximum for timing in times)
+            numbers = [cell for cell in row.cells.values() if isinstance(cell, float)]
+            assert all(math.isfinite(number) for number in numbers)
+            missed = [str(check) for check in row.checks if check.quantity in ACCURACY and not check.met]
+            assert not missed, row.cells
+        json.dumps(table.record(), allow_nan=False)
+        assert len(table.markdown().splitlines()) >= len(table.rows) + 4
+        for curve in () if table.plot is None else table.plot.curves:
+            assert len(curve.x) == len(curve.y) > 0
+
+
+def test_command_writes_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["--output", str(tmp_path), "--only", "harmonics", "--quick"]) == 0
+    printed = capsys.readouterr().out
+    assert "2 of 2 targets reached" in printed
+    document = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
+    assert [table["name"] for table in document["tables"]] == ["harmonics"]
+    assert document["environment"]["python"]
+    assert "| l ≤ |" in (tmp_path / "results.md").read_text(encoding="utf-8")
+    # Matplotlib is an extra of the benchmarks: a picture is written exactly where it is installed.
+    assert (tmp_path / "harmonics.png").exists() == (importlib.util.find_spec("matplotlib") is not None)
+
+
+def test_unknown_benchmark_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        command.main(["--output", str(tmp_path), "--only", "nonsense"])
+    assert caught.value.code == 2
+    assert "nonsense" in capsys.readouterr().err
+
+
+def test_interleaving_counts_calls_alike_and_takes_turns() -> None:
+    order: list[str] = []
+    calls = {"a": lambda: (order.append("a"), time.sleep(0.006)), "b": lambda: (order.append("b"), time.sleep(0.006))}
+    times = _measure.interleave(calls, rounds=4, budget=60.0)
+    # Two warm-up calls a side, then rounds in alternating order.
+    assert "".join(order) == "aabb" + "abba" * 2
+    assert all(len(timing.samples) == 4 for timing in times.values())
+    # Sleeping takes wall time and no processor time.
+    assert times["a"].minimum >= 0.006
+    assert times["a"].cores < 0.5
+
+
+def test_ratio_is_the_median_over_rounds() -> None:
+    ours, peer = _measure.Timing((2.0, 9.0, 2.0), 1.0), _measure.Timing((1.0, 3.0, 1.0), 1.0)
+    assert ours.over(peer) == 2.0
+    assert ours.scaled(0.5).samples == (1.0, 4.5, 1.0)
+
+
+def test_peak_memory_is_that_of_the_child() -> None:
+    held = np.ones(40_000_000)  # 320 MB here must not count
+    small = _measure.peak_memory("pass")
+    large = _measure.peak_memory("import sys; block = b'x' * int(sys.argv[1])", 2**27)
+    assert held[0] == 1
+    # A bare interpreter takes about 10 MB; 100 MB leaves room for other builds.
+    assert small < 100 * 2**20
+    assert 0.9 * 2**27 < large - small < 1.5 * 2**27
+    with pytest.raises(RuntimeError, match="out of luck"):
+        _measure.peak_memory("raise SystemExit('out of luck')")
+
+
+def test_checks_and_verdicts() -> None:
+    met, missed = Check("ratio", 1.0, "<=", 1.3), Check("share", 0.5, ">=", 0.7)
+    assert met.met and not missed.met
+    assert not Check("error", math.nan, "<=", 1.0).met
+    assert Row({}).verdict == "–"
+    assert Row({}, (met,)).verdict == "pass"
+    assert Row({}, (met, missed)).verdict == "MISS: share 0.5"
+    assert Row({}, (met, missed)).target == "ratio <= 1.3, share >= 0.7"
+
+
+def test_cells_are_shown_with_their_unit() -> None:
+    milliseconds = Column("t", "ms", ".3g", 1e3)
+    assert milliseconds.show(_measure.Timing((0.002, 0.001, 0.004), 1.0)) == "2 (1–4)"
+    assert milliseconds.show(0.25) == "250"
+    assert Column("x", "x").show(None) == "–"
+    assert Column("x", "x", "d").show(7) == "7"
+    assert [Column("x", "x").show(value) for value in (True, False, "word")] == ["yes", "no", "word"]
+
+
+def test_missed_targets_name_the_case(tmp_path: Path) -> None:
+    columns = (Column("b", "b"), Column("error", "error", ".1e"))
+    rows = (
+        Row({"b": 16, "error": 1e-3}, (Check("error", 1e-3, "<=", 1e-2),)),
+        Row({"b": 32, "error": math.inf}, (Check("error", math.inf, "<=", 1e-2),)),
+    )
+    table = Table("demo", "Demonstration", columns, rows, Plot("b", "error", (Curve("ours", [16, 32], [1e-3, 1.0]),)))
+    assert table.missed == ("demo: b 32, error inf: error <= 0.01 but inf",)
+    write_tables(tmp_path, [table], {"python": "3"})
+    record = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))["tables"][0]["rows"]
+    assert record[0]["checks"][0]["met"] is True
+    assert record[1]["error"] is None  # JSON knows no infinity
+
+
+def test_extended_precision_oracle_knows_low_degrees() -> None:
+    direction = np.array([[0.48, -0.6, 0.64]])
+    x, y, z = direction[0]
+    found = np.asarray(harmonics.extended_harmonics(direction, 3)[0], dtype=np.float64)
+    root = math.sqrt(3 / (4 * math.pi))
+    expected = {
+        0: math.sqrt(1 / (4 * math.pi)),
+        1: root * y,
+        2: root * z,
+        3: root * x,
+        4: math.sqrt(15 / (4 * math.pi)) * x * y,
+        6: math.sqrt(5 / (16 * math.pi)) * (3 * z * z - 1),
+        8: math.sqrt(15 / (16 * math.pi)) * (x * x - y * y),
+    }
+    for index, value in expected.items():
+        # Both sides are a handful of roundings from the truth.
+        assert found[index] == pytest.approx(value, rel=1e-14)
+    # Against our own at a higher degree: 1e-13 is the target of the benchmark itself.
+    np.testing.assert_allclose(
+        np.asarray(harmonics.extended_harmonics(direction, 20), dtype=np.float64),
+        fsh.spherical_harmonics(direction, 20),
+        atol=1e-13,
+    )
