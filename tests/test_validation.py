@@ -119,6 +119,7 @@ def test_coefficients(b: int) -> None:
 
 def test_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(check, "_available_memory", lambda: 10.0 * 2**30)
+    monkeypatch.setattr(check, "_NEGLIGIBLE_MEMORY", 0)
     check.memory(7 * 2**30, "it")
     with pytest.raises(MemoryEstimateError, match=r"^it needs about 9\.0 GiB, more than the 8\.0 GiB allowed here$"):
         check.memory(9 * 2**30, "it")

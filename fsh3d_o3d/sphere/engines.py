@@ -1,7 +1,7 @@
 """Which engine carries out a transform.
 
 The crossovers were measured (``benchmarks/transform.py``): a matrix product beats the fast transform for small
-bandwidths always, and up to b = 32 for batches large enough to keep BLAS busy; beyond, the matrices only cost memory.
+bandwidths always, and up to b = 40 for batches large enough to keep BLAS busy; beyond, the matrices only cost memory.
 """
 
 from __future__ import annotations
@@ -16,9 +16,7 @@ from fsh3d_o3d.sphere.nufft_engine import NufftEngine
 
 EngineName = Literal["auto", "dense", "nufft"]
 
-_DENSE_ALWAYS = 16
-_DENSE_IN_BATCHES = 48
-_BATCH = 8
+_SMALLEST_DENSE_BATCH = {24: 1, 32: 8, 40: 24}  # up to this bandwidth, from this batch on
 _DENSE_BYTES = 2**29
 
 
@@ -52,5 +50,5 @@ class EnginePair:
         if self._choice == "nufft":
             return self._nufft
         bandwidth, points = self._dense.bandwidth, len(self._dense.grid)
-        small = bandwidth <= _DENSE_ALWAYS or (bandwidth <= _DENSE_IN_BATCHES and batch >= _BATCH)
+        small = any(bandwidth <= limit and batch >= least for limit, least in _SMALLEST_DENSE_BATCH.items())
         return self._dense if small and 8 * bandwidth**2 * points <= _DENSE_BYTES else self._nufft

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["clear_weight_cache", "weight_cache_directory"]
 
-_FORMAT = 1  # raised when the solver changes what it returns
+_FORMAT = 2  # raised when the solver changes what it returns
 _MEMORY_BYTES = 256 * 2**20
 _log = logging.getLogger("fsh3d_o3d")
 _lock = threading.Lock()

@@ -103,5 +103,6 @@ def test_one_engine_in_many_threads(rng: np.random.Generator) -> None:
 def test_matrices_that_do_not_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     engine = DenseEngine(fsh.fibonacci_grid(6144), 32)
     monkeypatch.setattr(_validation, "_available_memory", lambda: 1e6)
+    monkeypatch.setattr(_validation, "_NEGLIGIBLE_MEMORY", 0)
     with pytest.raises(MemoryEstimateError, match=r"dense transform of bandwidth 32 on 6144 points needs about"):
         engine.analyse(np.zeros((1, 6144)))

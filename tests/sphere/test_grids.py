@@ -276,5 +276,6 @@ def test_bad_directions(bad: object, message: str) -> None:
 def test_grids_that_do_not_fit_are_refused(make: object, size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """200,000 points need 5 MB of directions alone; with 2 MB left every maker has to refuse."""
     monkeypatch.setattr(_validation, "_available_memory", lambda: 2.0 * 2**20)
+    monkeypatch.setattr(_validation, "_NEGLIGIBLE_MEMORY", 0)
     with pytest.raises(MemoryEstimateError, match=r"GiB"):
         make(size)  # type: ignore[operator]

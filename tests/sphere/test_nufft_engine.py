@@ -86,6 +86,7 @@ def test_gradient_of_low_harmonics(rng: np.random.Generator) -> None:
 
 def test_transforms_that_do_not_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_validation, "_available_memory", lambda: 1e6)
+    monkeypatch.setattr(_validation, "_NEGLIGIBLE_MEMORY", 0)
     engine = NufftEngine(fsh.fibonacci_grid(100), 300)
     for call, size in ((engine.analyse, 100), (engine.synthesise, 90_000)):
         with pytest.raises(MemoryEstimateError, match=r"fast transform of bandwidth 300 on 100 points needs about"):

@@ -406,6 +406,7 @@ def test_errors_name_argument_expectation_and_input(call: object, error: type, m
 
 def test_absurd_requests_are_refused_before_anything_is_allocated(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_validation, "_available_memory", lambda: 2.0 * 2**30)
+    monkeypatch.setattr(_validation, "_NEGLIGIBLE_MEMORY", 0)
     with pytest.raises(MemoryEstimateError, match=r"GiB"):
         fsh.SphericalHarmonicTransform(3000)
     with pytest.raises(MemoryEstimateError, match=r"GiB"):
@@ -417,6 +418,7 @@ def test_absurd_requests_are_refused_before_anything_is_allocated(monkeypatch: p
 def test_the_largest_bandwidth_is_refused_by_its_own_name(monkeypatch: pytest.MonkeyPatch) -> None:
     """6·4096² points are more than a grid may have: say so in terms of what the caller gave, or of memory."""
     monkeypatch.setattr(_validation, "_available_memory", lambda: 2.0 * 2**30)
+    monkeypatch.setattr(_validation, "_NEGLIGIBLE_MEMORY", 0)
     with pytest.raises(ValueError, match=r"bandwidth|GiB"):
         fsh.SphericalHarmonicTransform(4096)
 
@@ -426,6 +428,7 @@ def test_available_memory_counts(monkeypatch: pytest.MonkeyPatch) -> None:
         warnings.simplefilter("error")
         assert math.isfinite(fsh.SphericalHarmonicTransform(2).weights.sum())
     monkeypatch.setattr(_validation, "_available_memory", lambda: 1e3)
+    monkeypatch.setattr(_validation, "_NEGLIGIBLE_MEMORY", 0)
     with pytest.raises(MemoryEstimateError):
         fsh.SphericalHarmonicTransform(9, fsh.fibonacci_grid(499), fsh.equal_weights(fsh.fibonacci_grid(499))).forward(
             np.ones(499)
