@@ -37,7 +37,9 @@ class AngularCells:
     def of(directions: Float64Array, total: float) -> AngularCells:
         """Sort (n, 3) unit vectors into at least ``total`` cells, but no fewer than 12."""
         nside = max(1, ceil(sqrt(total / 12)))
-        pixel = ducc0.healpix.Healpix_Base(nside, "RING").vec2pix(directions)
+        # Healpix_Base fails where the longitude is so little below 2π that it rounds to it.
+        safe = np.where(np.abs(directions) < 1e-15, 0.0, directions)
+        pixel = ducc0.healpix.Healpix_Base(nside, "RING").vec2pix(safe)
         count = np.bincount(pixel, minlength=12 * nside * nside)
         place = np.cumsum(count > 0) - 1
         return AngularCells(place[pixel], count[count > 0], 12 * nside * nside)

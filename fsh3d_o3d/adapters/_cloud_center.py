@@ -139,7 +139,7 @@ def _nearest_to_lines(points: Float64Array, normals: Float64Array) -> Float64Arr
 def _unevenness(relative: Float64Array) -> float:
     """How far the surface is from a sphere about the origin: scatter of log radii over cells, and cells left empty."""
     radii = np.linalg.norm(relative, axis=1)
-    used = radii > 0
+    used = radii > 1e-12  # closer, in a cloud of size 1, a point has no direction to speak of
     if not used.any():
         return np.inf
     cells = AngularCells.of(relative[used] / radii[used, None], _CELLS)

@@ -360,3 +360,9 @@ def test_the_center_of_a_body_that_lacks_a_side():
     points = random_directions(rng, 10000)
     # A quarter of the sphere is missing; the smooth filling is not quite a sphere.
     np.testing.assert_allclose(cloud_center(PointArrays(points[points[:, 2] < 0.5])), 0, atol=0.05)
+
+
+def test_a_longitude_just_below_a_full_turn_has_a_cell() -> None:
+    """Found by the damaged files: the HEALPix look-up fails on a longitude that rounds to 2π."""
+    cells = AngularCells.of(np.array([[0.404341081, -5.04217181e-18, -0.914608271], [0.0, 0.0, 1.0]]), 192)
+    assert cells.count.sum() == 2
