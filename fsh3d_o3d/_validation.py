@@ -16,6 +16,7 @@ IntArray = NDArray[np.int64]
 
 MAXIMUM_BANDWIDTH = 4096
 _DEFAULT_MEMORY_LIMIT = 16 * 2**30
+_NEGLIGIBLE_MEMORY = 2**26  # asking what is free takes longer than some transforms
 
 
 def integer(value: object, name: str, *, minimum: int, maximum: int | None = None) -> int:
@@ -68,10 +69,16 @@ def real_array(value: object, name: str, *, finite: bool = True) -> FloatArray:
         raise TypeError(f"{name} must be an array of real numbers, got dtype {array.dtype}")
     if array.dtype not in (np.float32, np.float64):
         array = array.astype(np.float64)
-    if finite and not np.isfinite(array).all():
+    if finite and not _all_finite(array):
         bad = int(array.size - np.count_nonzero(np.isfinite(array)))
         raise ValueError(f"{name} must be finite, got {bad} NaN or infinite of {array.size} values")
     return cast(FloatArray, array)
+
+
+def _all_finite(array: FloatArray) -> bool:
+    """Whether no value is NaN or infinite; the sum tells in one pass, unless it overflows."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(array.sum())) or bool(np.isfinite(array).all())
 
 
 def values_on(value: object, name: str, count: int, symbol: str = "n") -> FloatArray:
@@ -123,6 +130,8 @@ def coefficients(value: object, name: str = "coefficients") -> tuple[FloatArray,
 
 def memory(estimate: float, what: str, limit: float = _DEFAULT_MEMORY_LIMIT) -> None:
     """Refuse a request whose estimated memory in bytes exceeds ``limit`` or most of what the machine has free."""
+    if estimate < _NEGLIGIBLE_MEMORY:
+        return
     limit = min(limit, 0.8 * _available_memory())
     if estimate > limit:
         raise MemoryEstimateError(

@@ -151,6 +151,8 @@ def _summary(
     )
     relative = error.relative()
     volume = "" if relative.volume_error is None else f", volume {100 * relative.volume_error:.3g} %"
+    if isinstance(original, PointArrays):
+        volume = " (all points to the surface, outliers included)"
     return "\n".join(
         [
             f"{options.input}: {source}, radial function of {len(shape.coefficients)} coefficients in {seconds:.2f} s",
