@@ -53,8 +53,10 @@ def test_large_functions_are_split_alike_for_any_number_of_threads(count: int, r
     assert (len(engine._blocks(1)) > 1) and len(engine._blocks(2)) == 1
     coefficients = rng.standard_normal((count, b * b))
     values, again = (engine.synthesise(coefficients, threads) for threads in (1, 2))
-    assert values.tobytes() == again.tobytes()
-    assert engine.analyse(values, 1).tobytes() == engine.analyse(values, 2).tobytes()
+    # To a few roundings and not to the byte: see "Determinism" in docs/conventions.md.
+    assert np.abs(values - again).max() < 1e-14 * b * np.abs(coefficients).max()
+    sums, others = engine.analyse(values, 1), engine.analyse(values, 2)
+    assert np.abs(sums - others).max() < 1e-14 * b * np.abs(sums).max()
 
 
 def test_blocks_give_the_sum_of_all_points(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -213,10 +213,16 @@ def test_threads_do_not_change_a_byte(engine: str, batch: tuple[int, ...], rng: 
     for dtype in (np.float64, np.float32):
         values = rng.standard_normal((*batch, len(one.grid))).astype(dtype)
         coefficients = one.forward(values)
-        assert coefficients.tobytes() == two.forward(values).tobytes()
-        assert one.inverse(coefficients).tobytes() == two.inverse(coefficients).tobytes()
-        found, again = (fsh.evaluate(coefficients, directions, threads=k) for k in (1, 2))
-        assert found.tobytes() == again.tobytes()
+        pairs = [
+            (coefficients, two.forward(values)),
+            (one.inverse(coefficients), two.inverse(coefficients)),
+            tuple(fsh.evaluate(coefficients, directions, threads=k) for k in (1, 2)),
+        ]
+        for found, again in pairs:
+            if engine == "dense" or batch in ((), (1,)):
+                assert found.tobytes() == again.tobytes()
+            else:  # to a few roundings: see "Determinism" in docs/conventions.md
+                assert np.abs(found - again).max() <= 64 * np.finfo(dtype).eps * np.abs(found).max()
 
 
 # -- evaluation
