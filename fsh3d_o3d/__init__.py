@@ -9,6 +9,7 @@ from fsh3d_o3d._version import __version__
 from fsh3d_o3d.adapters.reading import read_geometry
 from fsh3d_o3d.adapters.surface_error import SurfaceError, surface_error, vertex_distances
 from fsh3d_o3d.adapters.writing import write_geometry
+from fsh3d_o3d.descriptors import SHDOption, compute_shd_feature, descriptor_distances, shd_descriptor
 from fsh3d_o3d.errors import (
     ConvergenceWarning,
     CoverageError,
@@ -18,7 +19,14 @@ from fsh3d_o3d.errors import (
     NotStarShapedError,
     QuadratureWarning,
 )
-from fsh3d_o3d.shapes import RadialShape, load_shape
+from fsh3d_o3d.retrieval import (
+    RetrievalMetrics,
+    clear_descriptor_cache,
+    evaluate_models,
+    read_classification,
+    retrieval_metrics,
+)
+from fsh3d_o3d.shapes import RadialShape, ShellShape, ShellVolume, load_shape
 from fsh3d_o3d.sphere import *  # noqa: F403 - its __all__ is the list of public names
 from fsh3d_o3d.sphere import __all__ as _sphere
 
@@ -27,7 +35,20 @@ __all__ = [
     *_sphere,
     # shapes
     "RadialShape",
+    "ShellShape",
+    "ShellVolume",
     "load_shape",
+    # descriptors
+    "SHDOption",
+    "compute_shd_feature",
+    "descriptor_distances",
+    "shd_descriptor",
+    # retrieval
+    "RetrievalMetrics",
+    "clear_descriptor_cache",
+    "evaluate_models",
+    "read_classification",
+    "retrieval_metrics",
     # geometry
     "SurfaceError",
     "read_geometry",

@@ -15,7 +15,6 @@ from fsh3d_o3d._validation import Float64Array, IntArray, choice, number, point
 from fsh3d_o3d._validation import directions as checked_directions
 from fsh3d_o3d.adapters._rays import Frame, UnitScene
 from fsh3d_o3d.adapters.geometry import MeshArrays
-from fsh3d_o3d.adapters.mesh_measures import measure_mesh, weld
 from fsh3d_o3d.adapters.star import SAME_HIT, visible_area
 from fsh3d_o3d.errors import GeometryError, NotStarShapedError
 
@@ -159,9 +158,7 @@ def _explanation(
         f"{_percent(samples.missed)} of directions never meet it, {_percent(samples.multiple)} more than once, "
         f"and {_percent(_visible(mesh, samples.center))} of its area is visible"
     )
-    ways = ['method="shells", which takes any topology']
-    if _genus(mesh) == 0:
-        ways.insert(0, 'method="conformal", which takes closed surfaces of genus 0 like this one')
+    ways = ['method="shells" (ShellShape), which takes any topology']
     if behaviour == "error" and samples.missed <= fillable:
         ways.append('behaviour="outermost", which keeps what is seen from outside')
     if outside:
@@ -174,13 +171,6 @@ def _visible(mesh: MeshArrays, center: Float64Array) -> float:
         return visible_area(mesh, center)
     except GeometryError:  # no area
         return 0.0
-
-
-def _genus(mesh: MeshArrays) -> int | None:
-    try:
-        return measure_mesh(weld(mesh)).genus
-    except GeometryError:
-        return None
 
 
 def _percent(fraction: float) -> str:

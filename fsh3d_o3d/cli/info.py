@@ -120,9 +120,9 @@ def _fitting_method(star: StarReport, *, closed: bool, genus: int | None) -> tup
         return "radial", "star-shaped: the center sees the whole surface"
     if max(star.missed, star.multiple) <= _STAR_LIKE and 1 - star.visible_area <= _HIDDEN:
         return "radial", "nearly star-shaped: all but a small part of the surface is seen from the center"
-    if genus == 0:
-        return "conformal", "closed and of genus 0, but no center sees the whole surface"
-    return "shells", "not star-shaped, and " + ("of genus > 0 or not one manifold piece" if closed else "not closed")
+    if genus is not None:
+        return "shells", f"closed, of genus {genus}, and no center sees the whole surface: shells take any topology"
+    return "shells", "not star-shaped, and " + ("not one manifold piece" if closed else "not closed")
 
 
 def _shown(value: Any) -> str:

@@ -8,6 +8,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays, open3d_mesh
 from fsh3d_o3d.adapters.mesh_measures import measure_mesh
@@ -15,7 +17,7 @@ from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.adapters.surface_error import SurfaceError, surface_error, vertex_distances
 from fsh3d_o3d.adapters.writing import WRITABLE_MESH_FORMATS, atomic_write_bytes, write_geometry
 from fsh3d_o3d.cli._console import Progress, add_output_options, point_or_name, print_json
-from fsh3d_o3d.shapes import RadialShape
+from fsh3d_o3d.shapes import RadialShape, ShellShape
 from fsh3d_o3d.sphere import degree_energies, heat_filter
 
 
@@ -31,27 +33,31 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("output", help=f"mesh to write: {' '.join(WRITABLE_MESH_FORMATS)}")
     parser.add_argument(
         "--method",
-        choices=["radial"],
+        choices=["radial", "shells"],
         default="radial",
-        help="radial: distance from a center, for star-shaped surfaces",
+        help="radial: distance from a center, for star-shaped surfaces (default); shells: a field on concentric "
+        "spheres, for any topology",
     )
     parser.add_argument(
-        "--bandwidth", type=int, default=64, metavar="B", help="degrees 0 … B-1, B² numbers (default 64)"
+        "--bandwidth", type=int, metavar="B", help="degrees 0 … B-1, B² numbers a function (radial 64, shells 32)"
     )
+    parser.add_argument("--shells", type=int, metavar="S", help="number of shells (default: twice the bandwidth)")
     parser.add_argument(
         "--center",
         type=point_or_name,
         metavar="X,Y,Z",
-        help="center, or 'centroid' or 'best' (default: what sees most)",
+        help="center; for radial also 'centroid' or 'best' (default: what sees most)",
     )
     parser.add_argument(
         "--behaviour",
         choices=["error", "outermost", "innermost"],
         default="error",
-        help="where the surface is met several times in one direction (default: error)",
+        help="radial: where the surface is met several times in one direction (default: error)",
     )
     parser.add_argument("--smooth", type=float, metavar="T", help="smooth with the heat kernel exp(-T l(l+1))")
-    parser.add_argument("--resolution", type=int, metavar="N", help="about how many vertices to write")
+    parser.add_argument(
+        "--resolution", type=int, metavar="N", help="radial: about how many vertices; shells: cells a side"
+    )
     parser.add_argument("--save", metavar="FILE.npz", help="also write the coefficients")
     parser.add_argument("--picture", metavar="FILE.png", help="also write a picture: original, reconstruction, error")
     parser.add_argument(
@@ -63,16 +69,15 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Carry out the command."""
-    b = check.bandwidth(options.bandwidth, "--bandwidth")
+    default = 64 if options.method == "radial" else 32
+    b = check.bandwidth(default if options.bandwidth is None else options.bandwidth, "--bandwidth")
     targets = _checked_targets(options)
     with Progress(6, not options.quiet) as progress:
         progress.step("reading")
         original = read_geometry_arrays(options.input)
         progress.step("sampling, transforming")
         started = time.perf_counter()
-        shape = RadialShape.from_geometry(
-            original, b, options.center, behaviour=options.behaviour, threads=options.threads
-        )
+        shape = _encoded(original, b, options)
         if options.smooth is not None:
             shape = shape.filtered(heat_filter(b, options.smooth))
         progress.step("decoding")
@@ -121,7 +126,26 @@ def _checked_targets(options: argparse.Namespace) -> list[str]:
     return [target for target, _ in targets.values() if target]
 
 
-def _figures(shape: RadialShape, mesh: MeshArrays, error: SurfaceError) -> dict[str, Any]:
+def _encoded(original: MeshArrays | PointArrays, b: int, options: argparse.Namespace) -> RadialShape | ShellShape:
+    if options.method == "radial":
+        if options.shells is not None:
+            raise ValueError("--shells goes with --method shells")
+        return RadialShape.from_geometry(
+            original, b, options.center, behaviour=options.behaviour, threads=options.threads
+        )
+    if isinstance(options.center, str):
+        raise ValueError(f"--center must be X,Y,Z with --method shells, got {options.center!r}")
+    return ShellShape.from_geometry(
+        original,
+        b,
+        2 * b if options.shells is None else options.shells,
+        "signed_distance",
+        center=options.center,
+        threads=options.threads,
+    )
+
+
+def _figures(shape: RadialShape | ShellShape, mesh: MeshArrays, error: SurfaceError) -> dict[str, Any]:
     relative, measures = error.relative(), measure_mesh(mesh)
     return {
         "rmse": relative.rmse,
@@ -131,7 +155,7 @@ def _figures(shape: RadialShape, mesh: MeshArrays, error: SurfaceError) -> dict[
         "diagonal": error.diagonal,
         "closed": measures.closed,
         "genus": measures.genus,
-        "coefficients": len(shape.coefficients),
+        "coefficients": shape.coefficients.size,
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.triangles),
         "center": shape.center.tolist(),
@@ -141,7 +165,7 @@ def _figures(shape: RadialShape, mesh: MeshArrays, error: SurfaceError) -> dict[
 def _summary(
     options: argparse.Namespace,
     original: MeshArrays | PointArrays,
-    shape: RadialShape,
+    shape: RadialShape | ShellShape,
     error: SurfaceError,
     seconds: float,
     targets: list[str],
@@ -155,7 +179,7 @@ def _summary(
         volume = " (all points to the surface, outliers included)"
     return "\n".join(
         [
-            f"{options.input}: {source}, radial function of {len(shape.coefficients)} coefficients in {seconds:.2f} s",
+            f"{options.input}: {source}, {options.method}, {shape.coefficients.size} coefficients in {seconds:.2f} s",
             f"  error in % of the diagonal {error.diagonal:.6g}: RMSE {100 * relative.rmse:.3g}, "
             f"MAE {100 * relative.mae:.3g}, maximum {100 * relative.maximum:.3g}{volume}",
             *(f"  wrote {target}" for target in targets),
@@ -167,7 +191,7 @@ def _draw(
     options: argparse.Namespace,
     original: MeshArrays | PointArrays,
     mesh: MeshArrays,
-    shape: RadialShape,
+    shape: RadialShape | ShellShape,
     figures: dict[str, Any],
 ) -> None:
     # Imported here: plotting libraries take time that other runs need not spend.
@@ -184,7 +208,7 @@ def _draw(
             original=original,
             reconstruction=mesh,
             errors=distances,
-            energies=degree_energies(shape.coefficients),
+            energies=np.sqrt((np.atleast_2d(degree_energies(shape.coefficients)) ** 2).sum(axis=0)),
             figures={
                 "method": options.method,
                 "bandwidth": shape.bandwidth,

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import fsh3d_o3d as fsh
 from fsh3d_o3d.adapters.mesh_measures import measure_mesh
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.cli import main
@@ -102,7 +103,7 @@ def test_same_input_same_bytes(tmp_path):
     ("name", "expected"),
     [
         ("gem.stl", {"star_shaped": True, "closed": True, "genus": 0, "method": "radial"}),
-        ("horn.off", {"star_shaped": False, "closed": True, "genus": 0, "method": "conformal"}),
+        ("horn.off", {"star_shaped": False, "closed": True, "genus": 0, "method": "shells"}),
         ("double_torus.off", {"star_shaped": False, "closed": True, "genus": 2, "method": "shells"}),
         ("bowl.off", {"closed": False, "method": "shells"}),
         ("bennu_cloud.ply", {"kind": "point cloud", "method": "radial"}),
@@ -117,10 +118,28 @@ def test_info(capsys, name, expected):
     assert "method" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("name", "genus"), [("double_torus.off", 2), ("horn.off", 0)])
+def test_shells_reconstruct_any_topology(tmp_path, capsys, name, genus):
+    arguments = ["reconstruct", str(SAMPLES / name), str(tmp_path / "x.ply"), "--method", "shells", "--bandwidth", "24"]
+    assert main([*arguments, "--resolution", "80", "--save", str(tmp_path / "x.npz"), "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["closed"]
+    assert figures["genus"] == genus
+    assert figures["rmse"] < 0.005
+    assert fsh.load_shape(tmp_path / "x.npz").radii.shape == (48,)
+
+
+def test_options_of_the_other_method_are_refused(tmp_path, capsys):
+    gem = SAMPLES / "gem.stl"
+    assert "--shells goes with" in refused(capsys, "reconstruct", gem, tmp_path / "x.ply", "--shells", "9")
+    arguments = ("reconstruct", gem, tmp_path / "x.ply", "--method", "shells", "--center", "best")
+    assert "--center must be X,Y,Z" in refused(capsys, *arguments)
+
+
 def test_not_star_shaped_says_how_far_and_what_fits(tmp_path, capsys):
     message = refused(capsys, "reconstruct", SAMPLES / "horn.off", tmp_path / "x.ply")
     assert "not star-shaped" in message
-    assert "conformal" in message
+    assert "shells" in message
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,0 +1,108 @@
+"""``fsh3d describe``: the rotation-invariant features of one or many files in one ``.npz``."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fsh3d_o3d import _validation as check
+from fsh3d_o3d.adapters.reading import read_geometry_arrays
+from fsh3d_o3d.cli._console import Progress, error_line, print_json
+from fsh3d_o3d.descriptors import SHDOption, shd_descriptor
+from fsh3d_o3d.shapes.storage import write_arrays
+
+_OPTIONS = {"best": SHDOption.best, "published": SHDOption.published, "energies": SHDOption}
+
+
+def add_parser(commands: Any) -> None:
+    """Add the sub-command."""
+    parser = commands.add_parser(
+        "describe",
+        help="write rotation-invariant features of meshes and point clouds",
+        description="Write the spherical harmonic descriptors of meshes and point clouds: numbers that do not change "
+        "when a shape is moved, rotated, mirrored or scaled. A file that cannot be described is reported and left out.",
+    )
+    parser.add_argument("inputs", nargs="+", metavar="IN", help="mesh or point cloud")
+    parser.add_argument("-o", "--output", required=True, metavar="FEATURES.npz", help="file to write")
+    parser.add_argument(
+        "--option",
+        choices=list(_OPTIONS),
+        default="best",
+        help="best: for retrieval (default); published: Kazhdan et al. 2003; energies: one number a degree and shell",
+    )
+    parser.add_argument("--bandwidth", type=int, metavar="B", help="degrees 0 … B-1 instead of the option's own")
+    parser.add_argument("--shells", type=int, metavar="S", help="number of shells instead of the option's own")
+    parser.add_argument("--json", action="store_true", help="print what was written as one JSON object")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Carry out the command: 0 if all files were described, 1 if some were, 2 if none."""
+    option = _option(options)
+    _check_target(options)
+    paths, features, failed = [], [], []
+    with Progress(len(options.inputs), not options.quiet) as progress:
+        for path in options.inputs:
+            progress.step(Path(path).name[:24])
+            try:
+                features.append(shd_descriptor(read_geometry_arrays(path), option))
+                paths.append(os.fspath(path))
+            except (ValueError, OSError, MemoryError) as error:
+                failed.append({"path": os.fspath(path), "reason": error_line(error)})
+    for failure in failed:
+        print(f"fsh3d: error: {_named(**failure)}", file=sys.stderr)
+    if not features:
+        return 2
+    arrays = {
+        "paths": np.array([_printable(path) for path in paths]),
+        "features": np.stack(features),
+        "shape": np.array(option.feature_shape),
+        "option": np.array(options.option),
+        "metric": np.array(option.metric),
+        "fingerprint": np.array(option.fingerprint),
+    }
+    write_arrays(options.output, "features", arrays)
+    rows, columns = option.feature_shape
+    if options.json:
+        summary = {"output": options.output, "option": options.option, "fingerprint": option.fingerprint}
+        print_json({**summary, "described": len(paths), "shape": [rows, columns], "failed": failed})
+    else:
+        print(f"{options.output}: {len(paths)} of {len(options.inputs)} files, {rows} × {columns} numbers each")
+    return 1 if failed else 0
+
+
+def _option(options: argparse.Namespace) -> SHDOption:
+    own = {name: getattr(options, name) for name in ("bandwidth", "shells") if getattr(options, name) is not None}
+    if "bandwidth" in own:
+        check.bandwidth(own["bandwidth"], "--bandwidth")
+    return dataclasses.replace(_OPTIONS[options.option](), **own)
+
+
+def _check_target(options: argparse.Namespace) -> None:
+    """Refuse an output that cannot be written, or that is one of the inputs, before the work."""
+    target = Path(options.output)
+    if target.suffix.lower() != ".npz":
+        raise ValueError(f"the output must end in .npz, got {options.output!r}")
+    if not target.parent.is_dir():
+        raise ValueError(f"there is no folder {str(target.parent)!r}")
+    if target.is_dir():
+        raise ValueError(f"{options.output!r} is a folder")
+    if os.path.realpath(options.output) in {os.path.realpath(path) for path in options.inputs}:
+        raise ValueError(f"the output {options.output!r} is one of the inputs")
+
+
+def _named(path: str, reason: str) -> str:
+    """The reason in one line that names the file, once."""
+    return reason if path in reason else f"{_printable(path)}: {reason}"
+
+
+def _printable(path: str) -> str:
+    """A path as text that any encoding can hold; bytes that are not UTF-8 are escaped."""
+    return path.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")

@@ -1,0 +1,47 @@
+"""The cubic grid on which a field in a ball is decoded (private, but for ``ShellVolume``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fsh3d_o3d import _validation as check
+from fsh3d_o3d._validation import Float64Array
+
+_USUAL = (64, 256)  # what a usual resolution stays within
+
+
+@dataclass(frozen=True, eq=False)
+class ShellVolume:
+    """A field on a cubic grid: value [i, j, k] belongs to the point origin + spacing (i, j, k)."""
+
+    values: Float64Array
+    """(n, n, n), indexed by x, y, z. Read-only."""
+    origin: Float64Array
+    """(3,) where [0, 0, 0] lies, in the units of the input. Read-only."""
+    spacing: float
+    """Distance of neighbours along an axis, in the units of the input."""
+
+    def __post_init__(self) -> None:
+        for array in (self.values, self.origin):
+            array.setflags(write=False)
+
+
+def cube_resolution(resolution: object | None, bandwidth: int, shells: int) -> int:
+    """Points along an edge, if not given enough for the bandwidth and the shells.
+
+    Raises:
+        MemoryEstimateError: The grid would not fit in memory.
+    """
+    low, high = _USUAL
+    usual = max(low, min(high, max(2 * shells, 4 * bandwidth)))
+    n = usual if resolution is None else check.integer(resolution, "resolution", minimum=8, maximum=4096)
+    check.memory(250.0 * n**3, f"a grid of {n}³ points")
+    return n
+
+
+def cube_points(n: int, reach: float) -> Float64Array:
+    """The points (n³, 3) of the grid from −reach to reach along each axis, the last axis fastest."""
+    axis = np.linspace(-reach, reach, n)
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -1,0 +1,300 @@
+"""Solids of any topology as a field on concentric spheres, each a function on the sphere."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from fsh3d_o3d import _validation as check
+from fsh3d_o3d._open3d import open3d
+from fsh3d_o3d._validation import Float64Array, FloatArray
+from fsh3d_o3d.adapters._iso_surface import without_specks, zero_surface
+from fsh3d_o3d.adapters.geometry import (
+    GeometryKind,
+    MeshArrays,
+    PointArrays,
+    geometry_arrays,
+    open3d_mesh,
+    open3d_point_cloud,
+)
+from fsh3d_o3d.adapters.mesh_measures import area_samples
+from fsh3d_o3d.adapters.volume_fields import FIELDS, FieldName, volume_field
+from fsh3d_o3d.errors import GeometryReadError
+from fsh3d_o3d.shapes import storage
+from fsh3d_o3d.shapes._ball import BallFunction
+from fsh3d_o3d.shapes._cube import ShellVolume, cube_points, cube_resolution
+from fsh3d_o3d.sphere.coefficients import degree_energies, filter_coefficients, truncate
+from fsh3d_o3d.sphere.grids import fibonacci_grid, grid_size
+from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform
+
+_KINDS: tuple[GeometryKind, ...] = ("legacy", "tensor")
+_FEWEST_SHELLS, _MOST_SHELLS = 4, 4096
+_MARGIN = 0.05  # of empty space beyond the surface, in units of the frame
+
+
+@dataclass(frozen=True, eq=False)
+class ShellShape:
+    """A field f(r, ω) = Σ f_lm(r) Y_lm(ω) in a ball, as b² coefficients on each of S concentric spheres."""
+
+    coefficients: Float64Array
+    """(S, b²), one row a shell; real orthonormal harmonics, index l² + l + m. Read-only."""
+    radii: Float64Array
+    """(S,) of the shells in units of ``scale``: h, 2h, … Sh. Read-only."""
+    field: FieldName
+    """``"signed_distance"``, ``"occupancy"`` or ``"gaussian_distance"``."""
+    center: Float64Array
+    """(3,) centre of the shells, in the units of the input. Read-only."""
+    scale: float
+    """Length that ``radii``, ``width`` and signed distances are in units of, in the units of the input."""
+    width: float
+    """w of the field (see ``volume_field``), in units of ``scale``."""
+    kind: GeometryKind = "legacy"
+    """Which Open3D objects it becomes unless told otherwise: those it came from."""
+
+    def __post_init__(self) -> None:
+        coefficients, _ = check.coefficients(self.coefficients)
+        if coefficients.ndim != 2 or len(coefficients) < _FEWEST_SHELLS:
+            raise ValueError(
+                f"coefficients must have shape (S, b²) with S >= {_FEWEST_SHELLS}, got {coefficients.shape}"
+            )
+        radii = check.values_on(self.radii, "radii", len(coefficients), "S")
+        even = np.arange(1, len(coefficients) + 1) * (float(radii.ravel()[-1]) / len(coefficients))
+        if radii.ndim != 1 or radii[-1] <= 0 or np.abs(radii - even).max() > 1e-9 * radii[-1]:
+            raise ValueError("radii must have shape (S,) and be h, 2h, … Sh for some h > 0")
+        check.choice(self.field, "field", FIELDS)
+        check.choice(self.kind, "kind", _KINDS)
+        object.__setattr__(self, "scale", check.number(self.scale, "scale", minimum=0, exclusive=True))
+        if self.width != np.inf:
+            object.__setattr__(self, "width", check.number(self.width, "width", minimum=0, exclusive=True))
+        center = check.point(self.center, "center")
+        arrays: dict[str, FloatArray] = {"coefficients": coefficients, "radii": radii, "center": center}
+        for name, array in arrays.items():
+            own = np.array(array, dtype=np.float64)
+            own.setflags(write=False)
+            object.__setattr__(self, name, own)
+
+    @classmethod
+    def from_geometry(
+        cls,
+        geometry: Any,
+        bandwidth: int = 16,
+        shells: int = 32,
+        field: FieldName = "gaussian_distance",
+        *,
+        center: object | None = None,
+        width: float | None = None,
+        oversampling: float | None = None,
+        threads: int | None = None,
+    ) -> ShellShape:
+        """Encode a mesh of any quality or a point cloud as a field on shells.
+
+        The field is sampled exactly in the 4b²·``oversampling`` directions of a Fibonacci grid on shells from the
+        centre to a little beyond the farthest point, and each shell is transformed with analytic weights. For
+        reconstruction use ``field="signed_distance"``.
+
+        Args:
+            geometry: Open3D triangle mesh or point cloud, legacy or tensor (or ``MeshArrays``, ``PointArrays``).
+            bandwidth: b; each shell has b² coefficients. Details finer than about πr/b at radius r are lost.
+            shells: S, at least 4. Details finer than about two S-ths of the radius are lost.
+            field: ``"gaussian_distance"``, ``"occupancy"`` or ``"signed_distance"``; see ``volume_field``.
+            center: (3,) centre of the shells; the centroid of the surface's area if not given.
+            width: w of the field in units of the farthest distance from the centre. If not given 0.1 for distances
+                and 0.02 for occupancy, but no less than what the shells resolve. ``math.inf`` keeps
+                the signed distance as it is.
+            oversampling: Directions in units of 4b²; 1.5 if not given.
+            threads: Number of threads, or None for all that the process may use. Does not change the result.
+
+        Raises:
+            GeometryError: Empty, not finite, without extent or area; a cloud without normals or a surface that
+                encloses nothing where the field needs an inside.
+            MemoryEstimateError: The samples would not fit in memory.
+            ValueError, TypeError: Another argument is out of range or of the wrong type.
+        """
+        b = check.bandwidth(bandwidth)
+        count = check.integer(shells, "shells", minimum=_FEWEST_SHELLS, maximum=_MOST_SHELLS)
+        check.choice(field, "field", FIELDS)
+        size = grid_size(b, oversampling)
+        # Per sample: position, distance, corners of the closest triangle, and the transform's own copy.
+        check.memory(160.0 * size * count + 2000.0 * b * b, f"{count} shells of bandwidth {b} on {size} directions")
+        if width is None:
+            width = max(0.02, 1.0 / count) if field == "occupancy" else max(0.1, 2.0 / count)
+        source = volume_field(geometry, field, center=center, width=width)
+        # Room for at least a shell beyond the surface, and for the iso-surface of the Gaussian, w away from it.
+        margin = max(_MARGIN, 1.5 / count) + (1.25 * source.width if field == "gaussian_distance" else 0.0)
+        radii = np.arange(1.0, count + 1) * ((1 + margin) / count)
+        grid = fibonacci_grid(size)
+        # Out along each direction, so that neighbours share their side of the surface.
+        samples = source.sample(grid.directions[:, None] * radii[:, None], threads=threads).T
+        transform = SphericalHarmonicTransform(b, grid=grid, threads=threads)
+        coefficients = np.asarray(transform.forward(samples), dtype=np.float64)
+        kind = geometry_arrays(geometry)[1]
+        return cls(coefficients, radii, field, source.center, source.scale, source.width, kind)
+
+    @property
+    def bandwidth(self) -> int:
+        """b: degrees 0 … b − 1."""
+        return int(np.sqrt(self.coefficients.shape[1]) + 0.5)
+
+    @property
+    def level(self) -> float:
+        """The field's value on the surface: 0 for distances, ½ for occupancy, exp(−½) (w away) for the Gaussian."""
+        return {"signed_distance": 0.0, "occupancy": 0.5, "gaussian_distance": float(np.exp(-0.5))}[self.field]
+
+    def values(self, points: object, *, threads: int | None = None) -> Float64Array:
+        """Return the field at points (n, 3) in the coordinates of the input, (n,).
+
+        Signed distances are in units of ``scale``. Beyond the last shell the field is constant along each ray.
+        """
+        positions = check.vectors(points, "points")
+        return self._ball()(positions / self.scale - self.center / self.scale, threads=threads)
+
+    def to_volume(self, resolution: int | None = None, *, threads: int | None = None) -> ShellVolume:
+        """Return the field on the cubic grid of ``resolution``³ points around the outermost shell.
+
+        Args:
+            resolution: Points along an edge, at least 8; twice the shells or four times the bandwidth, whichever is
+                more, between 64 and 256, if not given.
+            threads: Number of threads, or None for all that the process may use. Does not change the result.
+
+        Raises:
+            MemoryEstimateError: The grid would not fit in memory.
+        """
+        n = cube_resolution(resolution, self.bandwidth, len(self.radii))
+        reach = float(self.radii[-1])
+        values = self._ball()(cube_points(n, reach), threads=threads).reshape(n, n, n)
+        origin = self.center - reach * self.scale
+        return ShellVolume(values, origin, 2 * reach * self.scale / (n - 1))
+
+    def mesh_arrays(
+        self,
+        resolution: int | None = None,
+        *,
+        level: float | None = None,
+        smallest: float = 0.0,
+        threads: int | None = None,
+    ) -> tuple[MeshArrays, Float64Array]:
+        """Return the iso-surface as arrays: a closed, outward-oriented mesh, and its vertex normals (v, 3).
+
+        See ``to_triangle_mesh``.
+        """
+        height = self.level if level is None else check.number(level, "level")
+        share = check.number(smallest, "smallest", minimum=0, maximum=1)
+        n = cube_resolution(resolution, self.bandwidth, len(self.radii))
+        reach = float(self.radii[-1])
+        points = cube_points(n, reach)
+        sign = 1.0 if self.field == "signed_distance" else -1.0
+        outside = sign * (self._ball()(points, threads=threads) - height)
+        # Beyond the last shell there is nothing: the solid's intersection with the ball.
+        outside = np.maximum(outside, np.linalg.norm(points, axis=1) - reach)
+        mesh, normals = zero_surface(outside.reshape(n, n, n))
+        if share > 0:
+            mesh, normals = without_specks(mesh, normals, share)
+        vertices = (mesh.vertices * (2 * reach / (n - 1)) - reach) * self.scale + self.center
+        return MeshArrays(vertices, mesh.triangles), normals
+
+    def to_triangle_mesh(
+        self,
+        resolution: int | None = None,
+        *,
+        level: float | None = None,
+        smallest: float = 0.0,
+        kind: GeometryKind | None = None,
+        threads: int | None = None,
+    ) -> Any:
+        """Decode to an Open3D ``TriangleMesh``: the iso-surface of the field, of any topology.
+
+        The mesh is closed, manifold and outward-oriented, with vertex normals from the field's gradient. A Gaussian of
+        the distance has no inside; its surface is that of everything within ``width`` of the input.
+
+        Args:
+            resolution: Grid points along an edge of the cube around the shells; see ``to_volume``.
+            level: Another value of the field than ``self.level``.
+            smallest: Drop components with less than this share of the whole area; 0 keeps all.
+            kind: ``"legacy"`` or ``"tensor"``; that of the input if not given.
+            threads: Number of threads, or None for all that the process may use. Does not change the result.
+
+        Raises:
+            GeometryError: The field does not cross the level at this resolution.
+            MemoryEstimateError: The grid would not fit in memory.
+        """
+        mesh, normals = self.mesh_arrays(resolution, level=level, smallest=smallest, threads=threads)
+        return open3d_mesh(mesh, self._kind(kind), normals=normals)
+
+    def to_point_cloud(self, n: int = 10_000, *, kind: GeometryKind | None = None) -> Any:
+        """Decode to an Open3D ``PointCloud`` of n points spread evenly over the iso-surface, with normals.
+
+        Raises:
+            GeometryError: The field does not cross its level.
+        """
+        count = check.integer(n, "n", minimum=1, maximum=10**8)
+        mesh, normals = self.mesh_arrays()
+        points, triangle = area_samples(mesh, count)
+        facing = normals[mesh.triangles[triangle]].sum(axis=1)
+        facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
+        return open3d_point_cloud(PointArrays(points, facing), self._kind(kind))
+
+    def compute_feature(self) -> Any:
+        """Return the energies per degree and shell as an Open3D ``Feature`` of shape (b, S).
+
+        They do not change when the input is rotated about the centre, moved or scaled.
+        """
+        feature = open3d().pipelines.registration.Feature()
+        feature.data = np.ascontiguousarray(degree_energies(self.coefficients).T)
+        return feature
+
+    def truncated(self, bandwidth: int) -> ShellShape:
+        """Return the shape of the degrees below ``bandwidth``: a coarser level of detail."""
+        return replace(self, coefficients=np.asarray(truncate(self.coefficients, bandwidth), dtype=np.float64))
+
+    def filtered(self, gain_per_degree: object) -> ShellShape:
+        """Return the shape with each degree multiplied by a gain, (b,) or a function of the degrees."""
+        filtered = filter_coefficients(self.coefficients, gain_per_degree)
+        return replace(self, coefficients=np.asarray(filtered, dtype=np.float64))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the shape to an ``.npz`` of plain arrays; ``load_shape`` reads it back, equal to the last bit.
+
+        Raises:
+            ValueError: The name does not end in ``.npz``.
+            OSError: The file cannot be written; what was there stays.
+        """
+        arrays = {
+            "coefficients": self.coefficients,
+            "radii": self.radii,
+            "field": np.array(self.field),
+            "center": self.center,
+            "scale": np.array(self.scale),
+            "width": np.array(self.width),
+            "geometry": np.array(self.kind),
+        }
+        storage.write_arrays(path, type(self).__name__, arrays)
+
+    @classmethod
+    def _from_arrays(cls, path: str | os.PathLike[str], arrays: dict[str, Any]) -> ShellShape:
+        coefficients = storage.field(path, arrays, "coefficients", 2)
+        storage.square_root(path, coefficients.shape[1])
+        radii = storage.field(path, arrays, "radii", 1)
+        center = storage.field(path, arrays, "center", 1)
+        scale = float(storage.field(path, arrays, "scale", 0))
+        width = arrays.get("width")
+        field, kind = str(arrays.get("field")), str(arrays.get("geometry", "legacy"))
+        try:
+            if width is None or np.shape(width) != ():
+                raise ValueError("width is malformed")
+            check.choice(field, "field", FIELDS)
+            shape = cls(coefficients, radii, field, center, scale, float(width), kind)  # type: ignore[arg-type]
+        except (ValueError, TypeError) as error:
+            raise GeometryReadError(f"{os.fspath(path)}: {error}") from None
+        return shape
+
+    def _ball(self) -> BallFunction:
+        return BallFunction(self.coefficients, float(self.radii[-1]) / len(self.radii))
+
+    def _kind(self, kind: GeometryKind | None) -> GeometryKind:
+        if kind is None:
+            return self.kind
+        check.choice(kind, "kind", _KINDS)
+        return kind
