@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from unittest import mock
 
-from benchmarks import harmonics, radial, roundtrip, transform, weights
+from benchmarks import features, harmonics, radial, roundtrip, transform, weights
 from benchmarks._measure import environment
 from benchmarks._table import Table, write_tables
 
@@ -21,6 +21,7 @@ BENCHMARKS = {
     "harmonics": harmonics.run,
     "transform": transform.run,
     "radial": radial.run,
+    "features": features.run,
 }
 
 

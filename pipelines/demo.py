@@ -1,8 +1,9 @@
-"""Reconstruct a sample from its spherical harmonics, and a noisy cloud of it with a hole.
+"""Reconstruct samples from their spherical harmonics, and compare shapes by their features.
 
 The job that most users come with first: a file in, a compact description and a clean closed mesh out, with figures that
-say how good it is. Two inputs show the trade-off: a mesh, whose detail is limited by the bandwidth, and a cloud with
-noise, outliers and a hole, where the fit has to decide what to believe.
+say how good it is. Three inputs show the trade-offs: a star-shaped mesh, whose detail is limited by the bandwidth; a
+cloud with noise, outliers and a hole, where the fit has to decide what to believe; and a shape with a handle, which
+takes a field on many shells. Then features that no rotation changes tell which of the samples are the same shape.
 
     python pipelines/demo.py --output output/demo
 """
@@ -12,9 +13,24 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import numpy as np
+
+import fsh3d_o3d as fsh
 from fsh3d_o3d.cli import main as fsh3d
 
 SAMPLES = Path(__file__).parents[1] / "samples"
+
+
+COMPARED = ("bennu_like.ply", "bennu_like_low.ply", "gem.stl", "gem_rotated.stl", "starfish.ply", "starfish_posed.ply")
+
+
+def _compare(features: Path) -> None:
+    """Print the distances between the compared samples: small for what is the same shape turned, moved or remeshed."""
+    with np.load(features) as file:
+        distances = fsh.descriptor_distances(file["features"], file["features"], fsh.SHDOption.best())
+    print("Distances between features (0 same, 2 nothing in common):")
+    for name, row in zip(COMPARED, distances, strict=True):
+        print(f"  {name:<20}", *(f"{value:5.2f}" for value in row))
 
 
 def main() -> int:
@@ -27,12 +43,16 @@ def main() -> int:
     for name, source, options in (
         ("bennu_like", "bennu_like.ply", ["--bandwidth", "64"]),
         ("bennu_cloud", "bennu_cloud.ply", ["--bandwidth", "33"]),
+        ("trefoil_knot", "trefoil_knot.ply", ["--method", "shells", "--bandwidth", "24", "--resolution", "96"]),
     ):
         stem = folder / name
         results = [f"{stem}.ply", "--save", f"{stem}.npz", "--picture", f"{stem}.png", "--report", f"{stem}.html"]
         code = fsh3d(["reconstruct", str(SAMPLES / source), *results, *options])
         worst = max(worst, code)
+    features = folder / "features.npz"
+    worst = max(worst, fsh3d(["describe", *(str(SAMPLES / name) for name in COMPARED), "-o", str(features)]))
     if worst == 0:
+        _compare(features)
         print(f"Open {folder / 'bennu_like.png'} for a picture, {folder / 'bennu_like.html'} for the page.")
     return worst
 

@@ -28,6 +28,9 @@ ACCURACY = {
     "error",
     "deviation",
     "RMS in hole",
+    "mean change, equiangular / Fibonacci",
+    "median",
+    "max",
 }
 TABLES = {
     "weights": ["weights", "weights_small_grids"],
@@ -35,6 +38,7 @@ TABLES = {
     "harmonics": ["harmonics"],
     "transform": ["transform_dgemm", "transform_ducc0", "transform_crossover"],
     "radial": ["radial_meshes", "radial_clouds"],
+    "features": ["features_rotation"],
 }
 
 

@@ -22,6 +22,8 @@ def test_demo(tmp_path):
         p.name for p in tmp_path.iterdir()
     }
     assert "RMSE" in done.stdout
+    assert "trefoil_knot.ply" in done.stdout
+    assert "Distances between features" in done.stdout
 
 
 def test_every_script_is_tested_here():

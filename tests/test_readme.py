@@ -22,7 +22,9 @@ def test_code_runs(number, tmp_path, monkeypatch):
     import fsh3d_o3d as fsh
 
     directions = np.eye(3)
-    exec(code, {"fsh": fsh, "values": np.ones((2, 6144)), "directions": directions})
+    names = {"fsh": fsh, "values": np.ones((2, 6144)), "directions": directions}
+    names |= {"mesh": fsh.read_geometry("samples/gem.stl"), "knot": fsh.read_geometry("samples/trefoil_knot.ply")}
+    exec(code, names)
 
 
 def test_commands_exist(capsys):
