@@ -116,6 +116,7 @@ class PackedLayout:
         self._sine: IntArray = degree * degree + degree - order
         self._phase = 1.0 - 2.0 * (order % 2)
         self._positive = order > 0
+        self._scales: dict[tuple[float, str], FloatArray] = {}
 
     def pack(self, coefficients: FloatArray) -> ComplexArray:
         """a(l, m) = (−1)^m (c(l, m) − i c(l, −m)) / √2 for m > 0, c(l, 0) for m = 0."""
@@ -126,20 +127,28 @@ class PackedLayout:
         return self._unpack(packed, np.sqrt(2.0))
 
     def _pack(self, coefficients: FloatArray, factor: float) -> ComplexArray:
-        scale = (np.where(self._positive, factor, 1.0) * self._phase).astype(coefficients.dtype)
+        scale = self._scale(factor, coefficients.dtype)
         complex_type = np.complex64 if coefficients.dtype == np.float32 else np.complex128
         result = np.empty((*coefficients.shape[:-1], len(scale)), dtype=complex_type)
         result.real = coefficients[..., self._cosine] * scale
-        result.imag = coefficients[..., self._sine] * np.where(self._positive, -scale, 0)
+        result.imag = coefficients[..., self._sine] * -scale
+        result.imag[..., : self.bandwidth] = 0  # m = 0, which comes first
         return result
 
     def _unpack(self, packed: ComplexArray, factor: float) -> FloatArray:
         real_type = np.float32 if packed.dtype == np.complex64 else np.float64
-        scale = (np.where(self._positive, factor, 1.0) * self._phase).astype(real_type)
+        scale = self._scale(factor, np.dtype(real_type))
         result = np.empty((*packed.shape[:-1], self.bandwidth**2), dtype=real_type)
         result[..., self._sine] = packed.imag * -scale
         result[..., self._cosine] = packed.real * scale  # after the sine, which shares m = 0
         return result
+
+    def _scale(self, factor: float, dtype: np.dtype[Any]) -> FloatArray:
+        """The phase, times ``factor`` for m > 0, kept for each precision."""
+        key = (factor, dtype.str)
+        if key not in self._scales:
+            self._scales[key] = (np.where(self._positive, factor, 1.0) * self._phase).astype(dtype)
+        return self._scales[key]
 
 
 @functools.lru_cache(maxsize=8)

@@ -22,8 +22,10 @@ from fsh3d_o3d.sphere.conventions import packed_layout
 from fsh3d_o3d.sphere.grids import SphericalGrid
 
 _TOLERANCE = {np.dtype(np.float64).str: 3e-13, np.dtype(np.float32).str: 2e-6}
-# A single function on fewer points is done before a second thread would pay.
+# A single function on fewer points, or on fewer for its bandwidth, is not split: each block repeats the part of the work
+# that does not depend on the points.
 _SPLIT_POINTS = 2**17
+_SPLIT_RATIO = 2
 
 
 class NufftEngine:
@@ -62,7 +64,7 @@ class NufftEngine:
     def _analyse_one(self, values: FloatArray, block: slice) -> FloatArray:
         own = values[block]
         if self._weights is not None:
-            own = own * self._weights[block].astype(values.dtype)
+            own = own * self._weights[block].astype(values.dtype, copy=False)
         # ducc0's adjoint is that of the m >= 0 sum with the conjugate counted once, Σ v conj Y.
         packed = ducc0.sht.adjoint_synthesis_general(
             map=np.ascontiguousarray(own)[None],
@@ -88,7 +90,7 @@ class NufftEngine:
     def _blocks(self, functions: int) -> list[slice]:
         """Blocks of points for one call; they depend on the sizes alone, never on the number of threads."""
         n = len(self.grid)
-        if functions > 1 or n < _SPLIT_POINTS:
+        if functions > 1 or n < max(_SPLIT_POINTS, _SPLIT_RATIO * self.bandwidth**2):
             return [slice(0, n)]
         count = max(2, min(8, n // (32 * self.bandwidth**2)))
         edges = np.linspace(0, n, count + 1).astype(int)
