@@ -22,8 +22,8 @@ from fsh3d_o3d.sphere.conventions import packed_layout
 from fsh3d_o3d.sphere.grids import SphericalGrid
 
 _TOLERANCE = {np.dtype(np.float64).str: 3e-13, np.dtype(np.float32).str: 2e-6}
-# A single function on fewer points, or on fewer for its bandwidth, is not split: each block repeats the part of the work
-# that does not depend on the points.
+# A single function on fewer points, or on fewer for its bandwidth, is not split: each block repeats the part of the
+# work that does not depend on the points.
 _SPLIT_POINTS = 2**17
 _SPLIT_RATIO = 2
 
