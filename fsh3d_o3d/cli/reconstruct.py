@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from fsh3d_o3d import _validation as check
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays, open3d_mesh
 from fsh3d_o3d.adapters.mesh_measures import measure_mesh
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
+from fsh3d_o3d.adapters.repair import repair_mesh
 from fsh3d_o3d.adapters.surface_error import SurfaceError, surface_error, vertex_distances
 from fsh3d_o3d.adapters.writing import WRITABLE_MESH_FORMATS, atomic_write_bytes, write_geometry
 from fsh3d_o3d.cli._console import Progress, add_output_options, point_or_name, print_json
@@ -54,6 +56,11 @@ def add_parser(commands: Any) -> None:
         default="error",
         help="radial: where the surface is met several times in one direction (default: error)",
     )
+    parser.add_argument(
+        "--repair",
+        action="store_true",
+        help="first weld, clean, close and orient the mesh (MeshLab), and say what changed",
+    )
     parser.add_argument("--smooth", type=float, metavar="T", help="smooth with the heat kernel exp(-T l(l+1))")
     parser.add_argument(
         "--resolution", type=int, metavar="N", help="radial: about how many vertices; shells: cells a side"
@@ -75,9 +82,10 @@ def run(options: argparse.Namespace) -> int:
     with Progress(6, not options.quiet) as progress:
         progress.step("reading")
         original = read_geometry_arrays(options.input)
+        source = _repaired(original) if options.repair else original
         progress.step("sampling, transforming")
         started = time.perf_counter()
-        shape = _encoded(original, b, options)
+        shape = _encoded(source, b, options)
         if options.smooth is not None:
             shape = shape.filtered(heat_filter(b, options.smooth))
         progress.step("decoding")
@@ -124,6 +132,20 @@ def _checked_targets(options: argparse.Namespace) -> list[str]:
             raise ValueError(f"{name} and {seen[real]} are the same file {target!r}")
         seen[real] = name
     return [target for target, _ in targets.values() if target]
+
+
+def _repaired(geometry: MeshArrays | PointArrays) -> MeshArrays:
+    if isinstance(geometry, PointArrays):
+        raise ValueError("--repair takes a mesh, not a point cloud")
+    repair = repair_mesh(geometry)
+    before, after = repair.before, repair.after
+    print(
+        f"repaired: {len(geometry.triangles)} to {len(repair.mesh.triangles)} triangles, "
+        f"{'closed' if before.closed else 'not closed'} to {'closed' if after.closed else 'not closed'}, "
+        f"genus {before.genus} to {after.genus}, area changed by {100 * (after.area / before.area - 1):.3g} %",
+        file=sys.stderr,
+    )
+    return repair.mesh
 
 
 def _encoded(original: MeshArrays | PointArrays, b: int, options: argparse.Namespace) -> RadialShape | ShellShape:

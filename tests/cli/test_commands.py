@@ -129,6 +129,15 @@ def test_shells_reconstruct_any_topology(tmp_path, capsys, name, genus):
     assert fsh.load_shape(tmp_path / "x.npz").radii.shape == (48,)
 
 
+def test_repair_says_what_it_changed(tmp_path, capsys):
+    arguments = ["reconstruct", str(SAMPLES / "bowl.off"), str(tmp_path / "x.ply"), "--method", "shells", "--repair"]
+    assert main([*arguments, "--bandwidth", "8", "--resolution", "32", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["closed"]
+    assert "not closed to closed" in err
+    assert "takes a mesh" in refused(capsys, "reconstruct", SAMPLES / "bennu_cloud.ply", tmp_path / "y.ply", "--repair")
+
+
 def test_options_of_the_other_method_are_refused(tmp_path, capsys):
     gem = SAMPLES / "gem.stl"
     assert "--shells goes with" in refused(capsys, "reconstruct", gem, tmp_path / "x.ply", "--shells", "9")
