@@ -10,11 +10,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from fsh3d_o3d import _validation as check
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
 
 GeometryKind = Literal["legacy", "tensor"]
+GEOMETRY_KINDS: tuple[GeometryKind, ...] = ("legacy", "tensor")
+"""Both kinds of Open3D geometry."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,14 +110,48 @@ def geometry_arrays(geometry: Any) -> tuple[MeshArrays | PointArrays, GeometryKi
         return MeshArrays(_tensor(geometry.vertex, "positions"), _tensor(geometry.triangle, "indices")), "tensor"
     if isinstance(geometry, o3d.t.geometry.PointCloud):
         normals = _tensor(geometry.point, "normals") if "normals" in geometry.point else None
-        colors = _tensor(geometry.point, "colors") if "colors" in geometry.point else None
-        if colors is not None and colors.dtype.kind in "ui":
-            colors = colors / np.iinfo(colors.dtype).max
+        colors = _unit_range(_tensor(geometry.point, "colors")) if "colors" in geometry.point else None
         return PointArrays(_tensor(geometry.point, "positions"), normals, colors), "tensor"
     raise TypeError(
         "geometry must be an open3d.geometry or open3d.t.geometry TriangleMesh or PointCloud, got "
         f"{type(geometry).__module__}.{type(geometry).__name__}"
     )
+
+
+def vertex_attributes(geometry: Any) -> tuple[Float64Array | None, Float64Array | None]:
+    """Return the normals and the colours in [0, 1] of vertices or points, (v, 3) each; None for what there is not.
+
+    Takes what ``geometry_arrays`` takes; lengths and shapes are as given.
+    """
+    if isinstance(geometry, MeshArrays):
+        return None, None
+    o3d = open3d()
+    if isinstance(geometry, o3d.geometry.TriangleMesh):
+        return (
+            np.asarray(geometry.vertex_normals) if geometry.has_vertex_normals() else None,
+            np.asarray(geometry.vertex_colors) if geometry.has_vertex_colors() else None,
+        )
+    if isinstance(geometry, o3d.t.geometry.TriangleMesh):
+        found = {name: _tensor(geometry.vertex, name) for name in ("normals", "colors") if name in geometry.vertex}
+        normals, colors = found.get("normals"), found.get("colors")
+        return (
+            None if normals is None else normals.astype(np.float64),
+            None if colors is None else _unit_range(colors).astype(np.float64),
+        )
+    arrays, _ = geometry_arrays(geometry)
+    return (arrays.normals, arrays.colors) if isinstance(arrays, PointArrays) else (None, None)
+
+
+def chosen_kind(kind: GeometryKind | None, own: GeometryKind) -> GeometryKind:
+    """Return ``kind``, or ``own`` where it is None.
+
+    Raises:
+        ValueError: It is neither ``"legacy"`` nor ``"tensor"``.
+    """
+    if kind is None:
+        return own
+    check.choice(kind, "kind", GEOMETRY_KINDS)
+    return kind
 
 
 def open3d_mesh(
@@ -185,6 +222,11 @@ def _diagonal(points: Float64Array) -> float:
     extent = points.max(axis=0) / 2 - points.min(axis=0) / 2
     largest = float(extent.max())
     return 2 * largest * float(np.linalg.norm(extent / largest)) if largest > 0 else 0.0
+
+
+def _unit_range(colors: Any) -> Any:
+    """Colours in [0, 1]: integers are divided by the largest of their type."""
+    return colors / np.iinfo(colors.dtype).max if colors.dtype.kind in "ui" else colors
 
 
 def _tensor(attributes: Any, name: str) -> Any:

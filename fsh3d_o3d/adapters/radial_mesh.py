@@ -20,6 +20,10 @@ from fsh3d_o3d.errors import GeometryError, NotStarShapedError
 
 Behaviour = Literal["error", "outermost", "innermost"]
 
+ACCEPTED_DIRECTIONS = 0.01
+"""Fraction of directions that may meet a surface never, or several times, for it to count as nearly star-shaped."""
+HIDDEN_AREA = 0.02
+"""Fraction of its area that the centre may then not see."""
 _NEIGHBORS = 8
 _PARITY_RAYS = 512  # to tell whether the centre is inside
 
@@ -54,8 +58,8 @@ def sample_radial(
     center: Float64Array,
     *,
     behaviour: Behaviour = "error",
-    accepted: float = 0.01,
-    hidden: float = 0.02,
+    accepted: float = ACCEPTED_DIRECTIONS,
+    hidden: float = HIDDEN_AREA,
     fillable: float = 0.1,
     same: float = SAME_HIT,
 ) -> RadialSamples:

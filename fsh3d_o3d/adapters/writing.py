@@ -12,10 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from fsh3d_o3d._open3d import open3d
-from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.adapters._serialise import CLOUD_WRITERS, MESH_WRITERS, Surface
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays, geometry_arrays
+from fsh3d_o3d.adapters.geometry import PointArrays, geometry_arrays, vertex_attributes
 from fsh3d_o3d.errors import GeometryError
 
 WRITABLE_MESH_FORMATS: tuple[str, ...] = tuple(MESH_WRITERS)
@@ -98,29 +96,11 @@ def _replace(target: Path, data: bytes) -> None:
 def _surface(geometry: Any) -> Surface:
     arrays, _ = geometry_arrays(geometry)
     if isinstance(arrays, PointArrays):
-        normals, colors = arrays.normals, arrays.colors
-        surface = Surface(arrays.points, None, normals, colors)
-    elif isinstance(geometry, MeshArrays):
-        surface = Surface(arrays.vertices, arrays.triangles, None, None)
+        surface = Surface(arrays.points, None, arrays.normals, arrays.colors)
     else:
-        surface = Surface(arrays.vertices, arrays.triangles, *_mesh_attributes(geometry))
+        surface = Surface(arrays.vertices, arrays.triangles, *vertex_attributes(geometry))
     for name in ("normals", "colors"):
         values = getattr(surface, name)
         if values is not None and (values.shape != surface.points.shape or not np.isfinite(values).all()):
             raise GeometryError(f"{name} must be finite and of shape {surface.points.shape}, got {values.shape}")
     return surface
-
-
-def _mesh_attributes(mesh: Any) -> tuple[Float64Array | None, Float64Array | None]:
-    """Vertex normals and colours of an Open3D mesh, as float64."""
-    if isinstance(mesh, open3d().geometry.TriangleMesh):
-        return (
-            np.asarray(mesh.vertex_normals) if mesh.has_vertex_normals() else None,
-            np.asarray(mesh.vertex_colors) if mesh.has_vertex_colors() else None,
-        )
-    normals = mesh.vertex["normals"].cpu().numpy().astype(np.float64) if "normals" in mesh.vertex else None
-    if "colors" not in mesh.vertex:
-        return normals, None
-    colors = mesh.vertex["colors"].cpu().numpy()
-    largest = np.iinfo(colors.dtype).max if colors.dtype.kind in "ui" else 1
-    return normals, colors.astype(np.float64) / largest

@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,12 @@ from fsh3d_o3d.cli._console import Progress, error_line, print_json
 from fsh3d_o3d.descriptors import SHDOption, shd_descriptor
 from fsh3d_o3d.shapes.storage import write_arrays
 
-_OPTIONS = {"best": SHDOption.best, "published": SHDOption.published, "energies": SHDOption}
+SHD_OPTIONS: dict[str, Callable[[], SHDOption]] = {
+    "best": SHDOption.best,
+    "published": SHDOption.published,
+    "energies": SHDOption,
+}
+"""What --option may name."""
 
 
 def add_parser(commands: Any) -> None:
@@ -32,7 +38,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="FEATURES.npz", help="file to write")
     parser.add_argument(
         "--option",
-        choices=list(_OPTIONS),
+        choices=list(SHD_OPTIONS),
         default="best",
         help="best: for retrieval (default); published: Kazhdan et al. 2003; energies: one number a degree and shell",
     )
@@ -82,7 +88,7 @@ def _option(options: argparse.Namespace) -> SHDOption:
     own = {name: getattr(options, name) for name in ("bandwidth", "shells") if getattr(options, name) is not None}
     if "bandwidth" in own:
         check.bandwidth(own["bandwidth"], "--bandwidth")
-    return dataclasses.replace(_OPTIONS[options.option](), **own)
+    return dataclasses.replace(SHD_OPTIONS[options.option](), **own)
 
 
 def _check_target(options: argparse.Namespace) -> None:

@@ -5,22 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable
 from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
 from fsh3d_o3d.adapters.writing import atomic_write_bytes
-from fsh3d_o3d.descriptors import SHDOption
+from fsh3d_o3d.cli.describe import SHD_OPTIONS
 from fsh3d_o3d.retrieval.classification import read_classification
 from fsh3d_o3d.retrieval.evaluation import Evaluation, evaluate_models
 from fsh3d_o3d.retrieval.shd import SHDDescriptor, on_equiangular_grid
 
-_OPTIONS: dict[str, Callable[[], SHDOption]] = {
-    "best": SHDOption.best,
-    "published": SHDOption.published,
-    "energies": SHDOption,
-}
 _COLUMNS = ("nearest neighbour", "first tier", "second tier", "E-measure", "DCG")
 
 
@@ -35,7 +29,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--models", required=True, metavar="DIR", help="where the models are, in any sub-folder")
     parser.add_argument("--classification", required=True, metavar="FILE", help="classes and model ids (.cla)")
     parser.add_argument("--descriptor", choices=("shd",), default="shd", help="what to evaluate (default: shd)")
-    parser.add_argument("--option", choices=tuple(_OPTIONS), default="best", help="its options (default: best)")
+    parser.add_argument("--option", choices=tuple(SHD_OPTIONS), default="best", help="its options (default: best)")
     parser.add_argument(
         "--grid", choices=("fibonacci", "equiangular"), default="fibonacci", help="directions (default: fibonacci)"
     )
@@ -50,7 +44,7 @@ def add_parser(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Evaluate, print the table, write what was asked for."""
     _check_targets(options)
-    option = _OPTIONS[options.option]()
+    option = SHD_OPTIONS[options.option]()
     if options.grid == "equiangular":
         option = on_equiangular_grid(option)
     classification = read_classification(options.classification)

@@ -9,13 +9,12 @@ from typing import Any
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.mesh_measures import measure_mesh, weld
 from fsh3d_o3d.adapters.radial_cloud import cloud_center, fit_radial_cloud
+from fsh3d_o3d.adapters.radial_mesh import ACCEPTED_DIRECTIONS, HIDDEN_AREA
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.adapters.star import StarReport, star_center
 from fsh3d_o3d.cli._console import Progress, add_output_options, print_json
 from fsh3d_o3d.errors import GeometryError
 
-_STAR_LIKE = 0.01
-_HIDDEN = 0.02
 _COARSE_BANDWIDTH = 8
 
 
@@ -118,7 +117,7 @@ def _describe_mesh(mesh: MeshArrays) -> dict[str, Any]:
 def _fitting_method(star: StarReport, *, closed: bool, genus: int | None) -> tuple[str, str]:
     if star.exact:
         return "radial", "star-shaped: the center sees the whole surface"
-    if max(star.missed, star.multiple) <= _STAR_LIKE and 1 - star.visible_area <= _HIDDEN:
+    if max(star.missed, star.multiple) <= ACCEPTED_DIRECTIONS and 1 - star.visible_area <= HIDDEN_AREA:
         return "radial", "nearly star-shaped: all but a small part of the surface is seen from the center"
     if genus is not None:
         return "shells", f"closed, of genus {genus}, and no center sees the whole surface: shells take any topology"

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, integer, real_array
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays, geometry_arrays
+from fsh3d_o3d.adapters.geometry import MeshArrays, geometry_arrays, vertex_attributes
 from fsh3d_o3d.report._colors import ORIGINAL_COLOR, error_colors
 from fsh3d_o3d.report._images import encode_png, side_by_side
 from fsh3d_o3d.report._rasterise import mesh_fragments, point_fragments
@@ -64,7 +63,7 @@ def render_thumbnail(
     width = integer(width, "width", minimum=1, maximum=_MOST_PIXELS)
     height = integer(height, "height", minimum=1, maximum=_MOST_PIXELS)
     count = len(arrays.vertices if isinstance(arrays, MeshArrays) else arrays.points)
-    own_normals, own_colors = _attributes(geometry, arrays)
+    own_normals, own_colors = vertex_attributes(geometry)
     vectors = own_normals if normals is None else _per_vertex(normals, "normals", count)
     tints = np.clip(own_colors, 0, 1) if own_colors is not None else _color(color, "color")[None]
     if colors is not None:
@@ -87,26 +86,6 @@ def render_thumbnail(
             points, tints = points[kept], tints if len(tints) == 1 else tints[kept]
         fragments = point_fragments(points, raster, normals=turned, colors=tints)
     return picture(fragments, width, height, paper)
-
-
-def _attributes(geometry: Any, arrays: MeshArrays | PointArrays) -> tuple[Float64Array | None, Float64Array | None]:
-    """Return a geometry's own normals and colours (v, 3); None for each it has not."""
-    if isinstance(arrays, PointArrays):
-        return arrays.normals, arrays.colors
-    if isinstance(geometry, MeshArrays):
-        return None, None
-    if isinstance(geometry, open3d().geometry.TriangleMesh):
-        return (
-            np.asarray(geometry.vertex_normals) if geometry.has_vertex_normals() else None,
-            np.asarray(geometry.vertex_colors) if geometry.has_vertex_colors() else None,
-        )
-    found = {}
-    for name in ("normals", "colors"):
-        if name in geometry.vertex:
-            values = geometry.vertex[name].cpu().numpy()
-            limit = np.iinfo(values.dtype).max if values.dtype.kind in "ui" else 1
-            found[name] = values.astype(np.float64) / limit
-    return found.get("normals"), found.get("colors")
 
 
 def _per_vertex(value: Any, name: str, count: int) -> Float64Array:

@@ -12,9 +12,11 @@ from fsh3d_o3d import _validation as check
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.adapters.geometry import (
+    GEOMETRY_KINDS,
     GeometryKind,
     MeshArrays,
     PointArrays,
+    chosen_kind,
     geometry_arrays,
     open3d_mesh,
     open3d_point_cloud,
@@ -34,7 +36,6 @@ Triangulation = Literal["icosphere", "fibonacci"]
 
 _FEWEST_POINTS = 10_242
 _USUAL_POINTS = 400_000
-_KINDS: tuple[GeometryKind, ...] = ("legacy", "tensor")
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +55,7 @@ class RadialShape:
             raise ValueError(f"coefficients must have shape (b²,), got {coefficients.shape}")
         coefficients = np.array(coefficients, dtype=np.float64)
         center = check.point(self.center, "center")
-        check.choice(self.kind, "kind", _KINDS)
+        check.choice(self.kind, "kind", GEOMETRY_KINDS)
         for name, array in (("coefficients", coefficients), ("center", center)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
@@ -177,7 +178,7 @@ class RadialShape:
             GeometryError: The radial function is not positive everywhere, as truncation of a spiky shape can make it.
         """
         mesh, normals = self.mesh_arrays(resolution, triangulation)
-        return open3d_mesh(mesh, self._kind(kind), normals=normals)
+        return open3d_mesh(mesh, chosen_kind(kind, self.kind), normals=normals)
 
     def to_point_cloud(self, n: int | None = None, *, kind: GeometryKind | None = None) -> Any:
         """Decode to an Open3D ``PointCloud`` of n points (6b² if not given) in Fibonacci directions, with normals.
@@ -186,7 +187,7 @@ class RadialShape:
             GeometryError: The radial function is not positive everywhere.
         """
         points, normals = self._surface(fibonacci_grid(6 * self.bandwidth**2 if n is None else n))
-        return open3d_point_cloud(PointArrays(points, normals), self._kind(kind))
+        return open3d_point_cloud(PointArrays(points, normals), chosen_kind(kind, self.kind))
 
     def compute_feature(self) -> Any:
         """Return the energies per degree as an Open3D ``Feature`` of shape (b, 1).
@@ -228,7 +229,7 @@ class RadialShape:
         storage.square_root(path, len(coefficients))
         center = storage.field(path, arrays, "center", 1)
         kind = str(arrays.get("geometry", "legacy"))
-        if center.shape != (3,) or kind not in _KINDS:
+        if center.shape != (3,) or kind not in GEOMETRY_KINDS:
             raise GeometryReadError(f"{os.fspath(path)}: center or geometry is malformed")
         return cls(coefficients, center, "tensor" if kind == "tensor" else "legacy")
 
@@ -243,12 +244,6 @@ class RadialShape:
         normals = radii[:, None] * grid.directions - evaluate_gradient(self.coefficients, grid)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         return self.center + radii[:, None] * grid.directions, normals
-
-    def _kind(self, kind: GeometryKind | None) -> GeometryKind:
-        if kind is None:
-            return self.kind
-        check.choice(kind, "kind", _KINDS)
-        return kind
 
 
 def _mesh_center(mesh: MeshArrays, center: object | CenterName | None) -> Float64Array:

@@ -13,9 +13,11 @@ from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, FloatArray
 from fsh3d_o3d.adapters._iso_surface import without_specks, zero_surface
 from fsh3d_o3d.adapters.geometry import (
+    GEOMETRY_KINDS,
     GeometryKind,
     MeshArrays,
     PointArrays,
+    chosen_kind,
     geometry_arrays,
     open3d_mesh,
     open3d_point_cloud,
@@ -30,7 +32,6 @@ from fsh3d_o3d.sphere.coefficients import degree_energies, filter_coefficients, 
 from fsh3d_o3d.sphere.grids import fibonacci_grid, grid_size
 from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform
 
-_KINDS: tuple[GeometryKind, ...] = ("legacy", "tensor")
 _FEWEST_SHELLS, _MOST_SHELLS = 4, 4096
 _MARGIN = 0.05  # of empty space beyond the surface, in units of the frame
 
@@ -65,7 +66,7 @@ class ShellShape:
         if radii.ndim != 1 or radii[-1] <= 0 or np.abs(radii - even).max() > 1e-9 * radii[-1]:
             raise ValueError("radii must have shape (S,) and be h, 2h, … Sh for some h > 0")
         check.choice(self.field, "field", FIELDS)
-        check.choice(self.kind, "kind", _KINDS)
+        check.choice(self.kind, "kind", GEOMETRY_KINDS)
         object.__setattr__(self, "scale", check.number(self.scale, "scale", minimum=0, exclusive=True))
         if self.width != np.inf:
             object.__setattr__(self, "width", check.number(self.width, "width", minimum=0, exclusive=True))
@@ -221,7 +222,7 @@ class ShellShape:
             MemoryEstimateError: The grid would not fit in memory.
         """
         mesh, normals = self.mesh_arrays(resolution, level=level, smallest=smallest, threads=threads)
-        return open3d_mesh(mesh, self._kind(kind), normals=normals)
+        return open3d_mesh(mesh, chosen_kind(kind, self.kind), normals=normals)
 
     def to_point_cloud(self, n: int = 10_000, *, kind: GeometryKind | None = None) -> Any:
         """Decode to an Open3D ``PointCloud`` of n points spread evenly over the iso-surface, with normals.
@@ -234,7 +235,7 @@ class ShellShape:
         points, triangle = area_samples(mesh, count)
         facing = normals[mesh.triangles[triangle]].sum(axis=1)
         facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
-        return open3d_point_cloud(PointArrays(points, facing), self._kind(kind))
+        return open3d_point_cloud(PointArrays(points, facing), chosen_kind(kind, self.kind))
 
     def compute_feature(self) -> Any:
         """Return the energies per degree and shell as an Open3D ``Feature`` of shape (b, S).
@@ -292,9 +293,3 @@ class ShellShape:
 
     def _ball(self) -> BallFunction:
         return BallFunction(self.coefficients, float(self.radii[-1]) / len(self.radii))
-
-    def _kind(self, kind: GeometryKind | None) -> GeometryKind:
-        if kind is None:
-            return self.kind
-        check.choice(kind, "kind", _KINDS)
-        return kind
