@@ -15,6 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
@@ -151,6 +152,7 @@ def _worker_environment() -> Iterator[None]:
     A terminal sends Ctrl-C to all its processes; this one answers it by ending the others.
     """
     before = {name: os.environ.get(name) for name in _SINGLE_THREADED}
+    resource_tracker.ensure_running()  # starting it unblocks SIGINT (bpo-33613), so not after the next line
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     os.environ.update(_SINGLE_THREADED)
     try:

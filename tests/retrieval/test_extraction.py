@@ -160,6 +160,9 @@ def test_interrupt_leaves_no_process_behind(tmp_path):
     ) as process:
         children = [int(word) for word in process.stdout.readline().split()]
         assert len(children) == 1
+        status = Path(f"/proc/{children[0]}/status").read_text(encoding="ascii")
+        blocked = int(next(line.split()[1] for line in status.splitlines() if line.startswith("SigBlk")), 16)
+        assert blocked >> (signal.SIGINT - 1) & 1  # deaf from its first instant, not only once it has got so far
         time.sleep(0.5)  # whatever the process is doing by then, it is to end
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: all processes of the group
         errors = process.communicate(timeout=60)[1]
