@@ -128,6 +128,21 @@ def coefficients(value: object, name: str = "coefficients") -> tuple[FloatArray,
     return array, b
 
 
+def rotation(value: object, name: str = "rotation") -> Float64Array:
+    """Return the rotation nearest to a (3, 3) matrix that is orthogonal to 1e-6 and of determinant +1."""
+    array = real_array(value, name)
+    if array.shape != (3, 3):
+        raise ValueError(f"{name} must have shape (3, 3), got {array.shape}")
+    matrix = np.clip(np.asarray(array, dtype=np.float64), -1e3, 1e3)  # clipped: a square must not overflow
+    error = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    if error > 1e-6:
+        raise ValueError(f"{name} must be a rotation matrix, but R Rᵀ differs from the identity by {error:.3g}")
+    if np.linalg.det(matrix) < 0:
+        raise ValueError(f"{name} must be a rotation matrix, got a reflection (determinant −1)")
+    left, _, right = np.linalg.svd(matrix)
+    return cast(Float64Array, left @ right)
+
+
 def memory(estimate: float, what: str, limit: float = _DEFAULT_MEMORY_LIMIT) -> None:
     """Refuse a request whose estimated memory in bytes exceeds ``limit`` or most of what the machine has free."""
     if estimate < _NEGLIGIBLE_MEMORY:

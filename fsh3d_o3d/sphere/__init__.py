@@ -22,6 +22,8 @@ from fsh3d_o3d.sphere.grids import (
 from fsh3d_o3d.sphere.harmonics import degrees_and_orders, spherical_harmonics
 from fsh3d_o3d.sphere.icosphere import icosphere
 from fsh3d_o3d.sphere.least_squares import LeastSquaresFit, fit_coefficients
+from fsh3d_o3d.sphere.rotation import reflect_coefficients, rotate_coefficients
+from fsh3d_o3d.sphere.rotation_search import RotationEstimate, estimate_rotation, estimate_rotations
 from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform, evaluate, evaluate_gradient
 from fsh3d_o3d.sphere.weight_cache import clear_weight_cache, weight_cache_directory
 from fsh3d_o3d.sphere.weights import area_weights, driscoll_healy_weights, equal_weights
@@ -50,6 +52,12 @@ __all__ = [
     "evaluate",
     "evaluate_gradient",
     "fit_coefficients",
+    # rotation
+    "RotationEstimate",
+    "estimate_rotation",
+    "estimate_rotations",
+    "reflect_coefficients",
+    "rotate_coefficients",
     # coefficients
     "degree_energies",
     "degrees_and_orders",
