@@ -2,11 +2,14 @@
 
 >>> import fsh3d_o3d as fsh
 >>> feature = fsh.compute_shd_feature(mesh, fsh.SHDOption.best())
+
+A signature is the same and the coefficients behind it, by which shapes can be compared once they are aligned.
 """
 
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,9 +26,17 @@ from fsh3d_o3d.adapters.shell_fields import ShellSampler
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.sphere._invariants import energies, gram_powers
 from fsh3d_o3d.sphere._threads import single_threaded_blas
+from fsh3d_o3d.sphere.rotation import rotate_coefficients
 from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform
 
-__all__ = ["SHDOption", "compute_shd_feature", "descriptor_distances", "shd_descriptor"]
+__all__ = [
+    "SHDOption",
+    "ShapeSignature",
+    "compute_shd_feature",
+    "compute_signature",
+    "descriptor_distances",
+    "shd_descriptor",
+]
 
 _WEAKEST_FIELD = 0.05  # of the frame's first field; the normals of a flat sheet are zero but for rounding
 
@@ -48,13 +59,59 @@ def compute_shd_feature(geometry: Any, option: SHDOption | None = None) -> Any:
         GeometryError: Empty, not finite, without area or extent.
     """
     feature = open3d().pipelines.registration.Feature()
-    feature.data = _feature(geometry, option)
+    feature.data = _described(geometry, option)[0]
     return feature
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeSignature:
+    """What is kept of a shape to find it again: a feature, low degrees for alignment, and the way back."""
+
+    feature: NDArray[np.float32]
+    """(d,) the descriptor, as ``shd_descriptor`` gives it."""
+    coefficients: NDArray[np.float32]
+    """(R, b²) low-degree coefficients of the functions behind the feature, in the shape's principal axes, of unit norm
+    in all."""
+    centroid: Float64Array
+    """(3,) area centroid, in the coordinates of the geometry."""
+    rms_radius: float
+    """Root mean square distance of the area from it, in the units of the geometry."""
+    axes: Float64Array
+    """(3, 3) rotation to the principal axes, the longest first: axes @ (point − centroid) / rms_radius is in the frame
+    of the coefficients. The signs of two axes are arbitrary."""
+
+
+def compute_signature(geometry: Any, option: SHDOption | None = None, *, bandwidth: int = 8) -> ShapeSignature:
+    """Compute a shape's descriptor together with what ``aligned_distances`` needs.
+
+    Args:
+        geometry: As for ``compute_shd_feature``.
+        option: ``SHDOption.best()`` if not given.
+        bandwidth: Degrees below this are kept for alignment; at most ``option.bandwidth``.
+
+    Raises:
+        TypeError: Not a geometry.
+        GeometryError: As for ``compute_shd_feature``.
+    """
+    option = _checked(SHDOption.best() if option is None else option)
+    kept = check.integer(bandwidth, "bandwidth", minimum=2, maximum=option.bandwidth)
+    feature, coefficients, surface = _described(geometry, option)
+    axes = np.linalg.eigh(surface.covariance)[1].T[::-1].copy()
+    axes[2] *= np.linalg.det(axes)
+    low = rotate_coefficients(coefficients[:, : kept**2], axes, threads=1)
+    norm = float(np.linalg.norm(low))
+    return ShapeSignature(
+        feature=feature.astype(np.float32).ravel(),
+        coefficients=(low / (norm if norm > 0 else 1.0)).astype(np.float32),
+        centroid=surface.centroid,
+        rms_radius=surface.rms_radius,
+        axes=axes,
+    )
 
 
 def shd_descriptor(geometry: Any, option: SHDOption | None = None) -> NDArray[np.float32]:
     """Compute ``compute_shd_feature`` as a vector (d,), row by row; see there. Does not need Open3D for arrays."""
-    return _feature(geometry, option).astype(np.float32).ravel()
+    return _described(geometry, option)[0].astype(np.float32).ravel()
 
 
 def descriptor_distances(first: object, second: object, option: SHDOption | None = None) -> Float64Array:
@@ -78,7 +135,8 @@ def _vectors(value: object, name: str, length: int) -> FloatArray:
     return vectors
 
 
-def _feature(geometry: Any, given: SHDOption | None) -> Float64Array:
+def _described(geometry: Any, given: SHDOption | None) -> tuple[Float64Array, Float64Array, Surface]:
+    """The feature, the coefficients (R, b²) it is made of, and the surface they were sampled from."""
     option = _checked(given)
     arrays, _ = geometry_arrays(geometry)
     plan = _plan(option)
@@ -92,11 +150,11 @@ def _feature(geometry: Any, given: SHDOption | None) -> Float64Array:
         else:
             feature = energies(coefficients, quadratic=option.covariance)
     if option.normalisation == "none":
-        return feature
+        return feature, coefficients, surface
     norm = float(np.linalg.norm(feature.ravel(), 1 if option.normalisation == "l1" else 2))
     if norm == 0:
         raise GeometryError("the fields are zero on all shells: the shape lies outside of them")
-    return feature / norm
+    return feature / norm, coefficients, surface
 
 
 def _balanced(coefficients: Float64Array) -> Float64Array:

@@ -33,6 +33,12 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--grid", choices=("fibonacci", "equiangular"), default="fibonacci", help="directions (default: fibonacci)"
     )
+    parser.add_argument(
+        "--rerank",
+        type=_candidates,
+        metavar="K",
+        help="align the K best candidates of each query with it and rank them anew (default: none)",
+    )
     parser.add_argument("--workers", type=_positive, metavar="N", help="processes (default: all this process may use)")
     parser.add_argument("--json", metavar="FILE", help="write all figures to this file")
     parser.add_argument("--plot", metavar="FILE", help="write the precision-recall curve to this file (.png)")
@@ -51,12 +57,13 @@ def run(options: argparse.Namespace) -> int:
     evaluation = evaluate_models(
         options.models,
         classification,
-        SHDDescriptor(option),
+        SHDDescriptor(option, rerank=options.rerank),
         workers=options.workers,
         cache=not options.no_cache,
         progress=not options.quiet,
     )
-    name = f"{options.descriptor} ({options.option}, {options.grid})"
+    again = "" if options.rerank is None else f", {options.rerank} re-ranked"
+    name = f"{options.descriptor} ({options.option}, {options.grid}{again})"
     if options.json:
         text = json.dumps({"descriptor": name, **evaluation.as_dict()}, indent=1, allow_nan=False)
         atomic_write_bytes(options.json, f"{text}\n".encode("ascii"))
@@ -100,8 +107,12 @@ def _table(name: str, evaluation: Evaluation) -> list[str]:
     ]
 
 
-def _positive(text: str) -> int:
+def _positive(text: str, maximum: int = 1024) -> int:
     value = int(text)
-    if not 1 <= value <= 1024:
-        raise argparse.ArgumentTypeError(f"{text} is not between 1 and 1024")
+    if not 1 <= value <= maximum:
+        raise argparse.ArgumentTypeError(f"{text} is not between 1 and {maximum}")
     return value
+
+
+def _candidates(text: str) -> int:
+    return _positive(text, 10**6)

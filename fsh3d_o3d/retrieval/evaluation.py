@@ -94,7 +94,7 @@ def evaluate_models(
         raise ValueError(f"none of the {len(models)} models of the classification could be described{first}")
     try:
         metrics = retrieval_metrics(
-            descriptor.distances(extraction.descriptors, extraction.descriptors),
+            descriptor.distances(extraction.descriptors, extraction.descriptors, progress=progress),
             described,
             unscored={group.full_name for group in classification.classes if group.miscellaneous},
         )

@@ -37,8 +37,10 @@ class Descriptor(Protocol):
     def describe(self, geometry: MeshArrays | PointArrays) -> NDArray[Any]:
         """Return the descriptor (d,) of a geometry, d being the same for all."""
 
-    def distances(self, queries: NDArray[np.float32], others: NDArray[np.float32]) -> NDArray[Any]:
-        """Return the distances (n, m) between descriptors (n, d) and (m, d)."""
+    def distances(
+        self, queries: NDArray[np.float32], others: NDArray[np.float32], *, progress: bool = False
+    ) -> NDArray[Any]:
+        """Return the distances (n, m) between descriptors (n, d) and (m, d); only their order in a row counts."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,8 @@
 """Grids, weights, harmonics, transforms and coefficients on the sphere; no Open3D here."""
 
+from fsh3d_o3d.sphere.aligned_distance import aligned_distance
 from fsh3d_o3d.sphere.analytic_weights import WeightSolution, analytic_weights
+from fsh3d_o3d.sphere.canonical import CanonicalPose
 from fsh3d_o3d.sphere.coefficients import (
     degree_energies,
     filter_coefficients,
@@ -24,6 +26,7 @@ from fsh3d_o3d.sphere.icosphere import icosphere
 from fsh3d_o3d.sphere.least_squares import LeastSquaresFit, fit_coefficients
 from fsh3d_o3d.sphere.rotation import reflect_coefficients, rotate_coefficients
 from fsh3d_o3d.sphere.rotation_search import RotationEstimate, estimate_rotation, estimate_rotations
+from fsh3d_o3d.sphere.symmetry import SymmetryAxis, SymmetryPlane, SymmetryReport, find_symmetries
 from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform, evaluate, evaluate_gradient
 from fsh3d_o3d.sphere.weight_cache import clear_weight_cache, weight_cache_directory
 from fsh3d_o3d.sphere.weights import area_weights, driscoll_healy_weights, equal_weights
@@ -53,9 +56,15 @@ __all__ = [
     "evaluate_gradient",
     "fit_coefficients",
     # rotation
+    "CanonicalPose",
     "RotationEstimate",
+    "aligned_distance",
+    "SymmetryAxis",
+    "SymmetryPlane",
+    "SymmetryReport",
     "estimate_rotation",
     "estimate_rotations",
+    "find_symmetries",
     "reflect_coefficients",
     "rotate_coefficients",
     # coefficients

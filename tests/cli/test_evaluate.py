@@ -56,6 +56,10 @@ def test_samples(tmp_path, capsys):
     out = capsys.readouterr().out
     assert "(energies, equiangular)" in out
     assert " 0 from the cache" in out
+    assert evaluate(*common, "--rerank", "5", "--json", target) == 0
+    assert capsys.readouterr().out.startswith("shd (energies, fibonacci, 5 re-ranked): 10 models")
+    again = json.loads(target.read_text())
+    assert again["micro"]["nearest_neighbor"] >= values["micro"]["nearest_neighbor"]
 
 
 def test_failed_inputs_are_listed(tmp_path, capsys):
