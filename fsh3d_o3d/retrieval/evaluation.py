@@ -9,10 +9,12 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
+from fsh3d_o3d import _validation as check
 from fsh3d_o3d.retrieval.classification import Classification
 from fsh3d_o3d.retrieval.extraction import Descriptor, FailedInput, extract_descriptors
 from fsh3d_o3d.retrieval.metrics import RECALL_LEVELS, RetrievalMetrics, retrieval_metrics
 from fsh3d_o3d.retrieval.model_files import ModelFiles, find_models
+from fsh3d_o3d.retrieval.neighborhood import neighborhood_distances
 
 __all__ = ["Evaluation", "evaluate_models"]
 
@@ -33,9 +35,12 @@ class Evaluation:
     """Mean CPU seconds to read and describe a model on one thread, in this run or when it was put into the cache."""
     seconds: float
     """Wall-clock seconds of the whole evaluation."""
+    neighborhood: RetrievalMetrics | None = None
+    """Scores of the rankings by ``neighborhood_distances``, which use the library itself; None: not asked for."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values for JSON; scores as fractions, NaN never."""
+        again = self.neighborhood
         return {
             "micro": dataclasses.asdict(self.metrics.micro),
             "macro": dataclasses.asdict(self.metrics.macro),
@@ -47,6 +52,9 @@ class Evaluation:
             "recall": RECALL_LEVELS.tolist(),
             "precision_recall": self.metrics.precision_recall.tolist(),
             "classes": [dataclasses.asdict(scores) for scores in self.metrics.classes],
+            "neighborhood": None
+            if again is None
+            else {"micro": dataclasses.asdict(again.micro), "macro": dataclasses.asdict(again.macro)},
         }
 
 
@@ -58,6 +66,7 @@ def evaluate_models(
     workers: int | None = None,
     cache: bool = True,
     progress: bool = False,
+    neighbors: int | None = None,
 ) -> Evaluation:
     """Score a descriptor on a classified library.
 
@@ -70,12 +79,15 @@ def evaluate_models(
         workers: Processes; by default one for each core that this process may use.
         cache: Use and fill the cache of descriptors.
         progress: Show a bar on standard error if that is a terminal.
+        neighbors: Also score rankings by ``neighborhood_distances`` with this many neighbours.
 
     Raises:
         OSError: The folder cannot be listed.
         ValueError: Too few models could be described for any class to be scored.
     """
     start = time.monotonic()
+    if neighbors is not None:
+        check.integer(neighbors, "neighbors", minimum=2)
     models = classification.models
     files = find_models(folder, models)
     present = [index for index, model in enumerate(models) if model in files.paths]
@@ -92,12 +104,14 @@ def evaluate_models(
     if not described:
         first = f"; {failed[0].path}: {failed[0].reason}" if failed else ""
         raise ValueError(f"none of the {len(models)} models of the classification could be described{first}")
+    unscored = {group.full_name for group in classification.classes if group.miscellaneous}
     try:
-        metrics = retrieval_metrics(
-            descriptor.distances(extraction.descriptors, extraction.descriptors, progress=progress),
-            described,
-            unscored={group.full_name for group in classification.classes if group.miscellaneous},
-        )
+        distances = descriptor.distances(extraction.descriptors, extraction.descriptors, progress=progress)
+        metrics = retrieval_metrics(distances, described, unscored=unscored)
+        neighborhood = None
+        if neighbors is not None:
+            closer = neighborhood_distances(distances, neighbors=neighbors)
+            neighborhood = retrieval_metrics(closer, described, unscored=unscored)
     except ValueError as error:
         raise ValueError(f"{len(described)} of {len(models)} models could be described: {error}") from error
     return Evaluation(
@@ -107,6 +121,7 @@ def evaluate_models(
         cached=extraction.cached,
         seconds_per_model=math.fsum(extraction.seconds) / len(described),
         seconds=time.monotonic() - start,
+        neighborhood=neighborhood,
     )
 
 

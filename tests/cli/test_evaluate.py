@@ -56,9 +56,18 @@ def test_samples(tmp_path, capsys):
     out = capsys.readouterr().out
     assert "(energies, equiangular)" in out
     assert " 0 from the cache" in out
-    assert evaluate(*common, "--rerank", "5", "--json", target) == 0
-    assert capsys.readouterr().out.startswith("shd (energies, fibonacci, 5 re-ranked): 10 models")
+    assert values["neighborhood"] is None
+    assert evaluate(*common, "--rerank", "5", "--neighbors", "3", "--json", target) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("shd (energies, fibonacci, 5 re-ranked): 10 models")
+    assert [line.split("  ")[0] for line in out.splitlines()[2:6]] == [
+        "micro",
+        "macro",
+        "micro, common neighbours",
+        "macro, common neighbours",
+    ]
     again = json.loads(target.read_text())
+    assert set(again["neighborhood"]) == {"micro", "macro"}
     assert again["micro"]["nearest_neighbor"] >= values["micro"]["nearest_neighbor"]
 
 
