@@ -26,6 +26,7 @@ ACCURACY = {
     "warned where not exact",
     "noise ×",
     "error",
+    "energies",
     "deviation",
     "RMS in hole",
     "mean change, equiangular / Fibonacci",
@@ -39,6 +40,7 @@ TABLES = {
     "transform": ["transform_dgemm", "transform_ducc0", "transform_crossover"],
     "radial": ["radial_meshes", "radial_clouds"],
     "features": ["features_rotation"],
+    "rotation": ["rotation", "rotation_pair", "rotation_batch"],
 }
 
 

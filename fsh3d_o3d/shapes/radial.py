@@ -29,6 +29,7 @@ from fsh3d_o3d.errors import GeometryError, GeometryReadError
 from fsh3d_o3d.shapes import storage
 from fsh3d_o3d.sphere.coefficients import degree_energies, filter_coefficients, truncate
 from fsh3d_o3d.sphere.grids import SphericalGrid, fibonacci_grid, grid_from_directions, grid_size
+from fsh3d_o3d.sphere.rotation import rotate_coefficients
 from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform, evaluate, evaluate_gradient
 
 CenterName = Literal["auto", "best", "centroid"]
@@ -209,6 +210,17 @@ class RadialShape:
         """
         filtered = filter_coefficients(self.coefficients, gain_per_degree)
         return replace(self, coefficients=np.asarray(filtered, dtype=np.float64))
+
+    def rotated(self, rotation: object) -> RadialShape:
+        """Return the shape rotated about its centre by R (3, 3), exactly; see ``rotate_coefficients``.
+
+        It decodes to what this one does with every point p at center + R (p − center).
+
+        Raises:
+            ValueError: R is not a rotation.
+        """
+        turned = rotate_coefficients(self.coefficients, rotation)
+        return replace(self, coefficients=np.asarray(turned, dtype=np.float64))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the shape to an ``.npz`` of plain arrays; ``load_shape`` reads it back, equal to the last bit.

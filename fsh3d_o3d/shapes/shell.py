@@ -30,6 +30,7 @@ from fsh3d_o3d.shapes._ball import BallFunction
 from fsh3d_o3d.shapes._cube import ShellVolume, cube_points, cube_resolution
 from fsh3d_o3d.sphere.coefficients import degree_energies, filter_coefficients, truncate
 from fsh3d_o3d.sphere.grids import fibonacci_grid, grid_size
+from fsh3d_o3d.sphere.rotation import rotate_coefficients
 from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform
 
 _FEWEST_SHELLS, _MOST_SHELLS = 4, 4096
@@ -131,8 +132,7 @@ class ShellShape:
         samples = source.sample(grid.directions[:, None] * radii[:, None], threads=threads).T
         transform = SphericalHarmonicTransform(b, grid=grid, threads=threads)
         coefficients = np.asarray(transform.forward(samples), dtype=np.float64)
-        kind = geometry_arrays(geometry)[1]
-        return cls(coefficients, radii, field, source.center, source.scale, source.width, kind)
+        return cls(coefficients, radii, field, source.center, source.scale, source.width, geometry_arrays(geometry)[1])
 
     @property
     def bandwidth(self) -> int:
@@ -254,6 +254,11 @@ class ShellShape:
         """Return the shape with each degree multiplied by a gain, (b,) or a function of the degrees."""
         filtered = filter_coefficients(self.coefficients, gain_per_degree)
         return replace(self, coefficients=np.asarray(filtered, dtype=np.float64))
+
+    def rotated(self, rotation: object) -> ShellShape:
+        """Return the shape rotated about its centre by R (3, 3), exactly; see ``rotate_coefficients``."""
+        turned = rotate_coefficients(self.coefficients, rotation)
+        return replace(self, coefficients=np.asarray(turned, dtype=np.float64))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the shape to an ``.npz`` of plain arrays; ``load_shape`` reads it back, equal to the last bit.

@@ -12,11 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, FloatArray, IntArray
-from fsh3d_o3d.sphere._wigner import generators, rotation_matrices
-from fsh3d_o3d.sphere.conventions import to_complex
+from fsh3d_o3d.sphere._derivatives import Derivatives
+from fsh3d_o3d.sphere._wigner import wigner_table
 
 _STEP = 0.25  # radians; the longest step uphill
 _STILL = 1e-6  # radians; the step after this one is its square
+_ROUNDING = 1e-14  # of a correlation; the last steps change less
+_CROSS = np.array(
+    [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], dtype=np.float64
+)
+"""Vectors (k, 3) times this are their cross-product matrices (k, 9)."""
 
 
 class Correlator:
@@ -33,49 +38,33 @@ class Correlator:
         """Steps of β, γ and α of the grid's R_z(α) R_y(β) R_z(γ)."""
         self.rotations = _zyz(angles, tilt, angles)
         """(tilts · n · n, 3, 3)."""
+        self._table = table = wigner_table(b)
+        self._derivatives = Derivatives(table)
+        self._place = (table.order, table.other + b - 1, table.degree)
+        self._wigner = np.zeros((b, 2 * b - 1, tilts, b), dtype=np.float32)  # m, m', tilt, degree
+        self._wigner.transpose(0, 1, 3, 2)[self._place] = table.tilts(tilt).T
         order = np.arange(1 - b, b)
-        unitary = np.zeros((2 * b - 1, 2 * b - 1), dtype=np.complex128)
-        top = slice((b - 1) ** 2, b * b)
-        unitary[:] = to_complex(np.eye(b * b)[top])[:, top].T  # complex from real orders, the same in every degree
-        self._unitary = unitary
-        zero = np.zeros(1)
-        tilted = unitary @ rotation_matrices(_zyz(zero, tilt, zero), b) @ unitary.conj().T
-        # (m >= 0, m', degree, tilt); real for complex harmonics
-        self._wigner = np.ascontiguousarray(tilted.real[:, :, b - 1 :].transpose(2, 3, 1, 0), dtype=np.float32)
         self._gamma = np.exp(-1j * order[:, None] * angles).astype(np.complex64)
         twice = np.where(np.arange(b) == 0, 1.0, 2.0)[:, None]  # −m adds the conjugate of m
         phase = np.arange(b)[:, None] * angles
         self._alpha = np.concatenate((twice * np.cos(phase), twice * np.sin(phase))).astype(np.float32)
-        moves = generators(b)
-        pairs = [
-            (moves[i] @ moves[j] + moves[j] @ moves[i]) / 2 for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-        ]
-        degree = np.arange(b)[:, None]
-        identity = np.stack([np.diag(row) for row in (np.abs(order) <= degree).astype(float)])
-        self._derivatives = np.stack([identity, *moves, *pairs]).reshape(10, -1).T.copy()
 
     def products(self, source: FloatArray, target: FloatArray) -> Float64Array:
-        """M of sources (n, S, b²) with one target (S, b²): (n, b, 2b−1, 2b−1)."""
-        b = self.bandwidth
-        result = np.zeros((len(source), b, 2 * b - 1, 2 * b - 1))
-        for degree in range(b):
-            part, inner = slice(degree**2, (degree + 1) ** 2), slice(b - 1 - degree, b + degree)
-            result[:, degree, inner, inner] = target[:, part].T @ source[:, :, part]
-        return result
+        """M of sources (n, S, b²) with one target (S, b²): every degree's (2l+1)² numbers, (n, b(4b²−1)/3)."""
+        parts = []
+        for degree in range(self.bandwidth):
+            part = slice(degree**2, (degree + 1) ** 2)
+            parts.append((target[:, part].T @ source[:, :, part]).reshape(len(source), -1))
+        return np.concatenate(parts, axis=1, dtype=np.float64)
 
     def on_grid(self, products: Float64Array) -> NDArray[np.float32]:
         """C at the grid's rotations, (n, tilts, n_γ, n_α): an FFT on SO(3) as a few matrix products."""
-        n, b, width = products.shape[:3]
+        n, b = len(products), self.bandwidth
         tilts, turns, _ = self.shape
-        real = products.astype(np.float32)
-        half = self._unitary[b - 1 :].conj().astype(np.complex64)
-        # Rows m >= 0 of conj(U) M Uᵀ, then sums over degrees for each pair of orders.
-        mixed = (half @ real) @ self._unitary.T.astype(np.complex64)
-        flat = np.ascontiguousarray(mixed.transpose(2, 3, 0, 1)).view(np.float32).reshape(b, width, n, b, 2)
-        parts = np.ascontiguousarray(np.moveaxis(flat, 4, 2)).reshape(b, width, 2 * n, b)
-        sums = parts @ self._wigner  # (m, m', 2n, tilt)
-        sums = np.ascontiguousarray(sums.reshape(b, width, 2, n, tilts).transpose(3, 4, 0, 1, 2))
-        turned = sums.view(np.complex64)[..., 0].reshape(-1, width) @ self._gamma
+        mixed = np.zeros((b, 2 * b - 1, b, n), dtype=np.complex64)
+        mixed[self._place] = self._derivatives.mixed(products).T
+        sums = (self._wigner @ mixed.view(np.float32)).view(np.complex64)  # m, m', tilt, n
+        turned = np.ascontiguousarray(sums.transpose(3, 2, 0, 1)).reshape(-1, 2 * b - 1) @ self._gamma
         turned = turned.reshape(n, tilts, b, turns).transpose(0, 1, 3, 2)
         both = np.concatenate((turned.real, turned.imag), axis=-1)
         return (both.reshape(-1, 2 * b) @ self._alpha).reshape(n, tilts, turns, turns)
@@ -103,7 +92,7 @@ class Correlator:
     def ascend(
         self, products: Float64Array, rotations: Float64Array, steps: int
     ) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Climb from rotations (k, 3, 3), each on its own products (k, b, 2b−1, 2b−1).
+        """Climb from rotations (k, 3, 3), each on its own products (k, …) or all on the same (1, …).
 
         Newton's method with the curvatures' absolute values, so that it climbs from anywhere, and limited steps; a
         step that does not climb is halved.
@@ -111,16 +100,19 @@ class Correlator:
         Returns:
             Rotations (k, 3, 3), correlations (k,) and their Hessians (k, 3, 3), per radian² about fixed axes.
         """
+        weights = self._derivatives.weights(products)
+        shared = len(products) == 1
         current = rotations.copy()
-        value, gradient, hessian = self._local(products, rotations)
+        value, gradient, hessian = self._local(weights, rotations)
         limit = np.full(len(rotations), _STEP)
         climbing = np.arange(len(rotations))
         for _ in range(steps):
             step = _uphill(gradient[climbing], hessian[climbing], limit[climbing])
-            length = np.linalg.norm(step, axis=1)
+            length = _lengths(step)
             trial = exponential(step) @ current[climbing]
-            found = self._local(products[climbing], trial)
-            better = found[0] >= value[climbing]
+            every = shared or len(climbing) == len(rotations)
+            found = self._local(weights if every else weights[climbing], trial)
+            better = found[0] >= value[climbing] - _ROUNDING * np.abs(value[climbing])
             limit[climbing] = np.where(better, np.minimum(_STEP, 2 * limit[climbing]), length / 2)
             up = climbing[better]
             current[up] = trial[better]
@@ -131,17 +123,13 @@ class Correlator:
         return current, value, hessian
 
     def values(self, products: Float64Array, rotations: Float64Array) -> Float64Array:
-        """C at rotations (k, 3, 3), all for the same products (b, 2b−1, 2b−1): (k,)."""
-        matrices = rotation_matrices(rotations, self.bandwidth)
-        return np.asarray(matrices.reshape(len(rotations), -1) @ products.ravel())
+        """C at rotations (k, 3, 3), all for the same products (1, …): (k,)."""
+        return self._local(self._derivatives.weights(products), rotations)[0]
 
-    def _local(
-        self, products: Float64Array, rotations: Float64Array
-    ) -> tuple[Float64Array, Float64Array, Float64Array]:
+    def _local(self, weights: Float64Array, rotations: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
         """C, its gradient and its Hessian at rotations, along exp(ω) R."""
-        matrices = rotation_matrices(rotations, self.bandwidth)
-        turned = products @ np.swapaxes(matrices, 2, 3)
-        terms = turned.reshape(len(rotations), -1) @ self._derivatives
+        matrices = self._table(rotations).view(np.float64)
+        terms = matrices @ weights[0].T if len(weights) == 1 else (weights @ matrices[..., None])[..., 0]
         return terms[:, 0], terms[:, 1:4], terms[:, [4, 7, 8, 7, 5, 9, 8, 9, 6]].reshape(-1, 3, 3)
 
 
@@ -149,17 +137,19 @@ def _uphill(gradient: Float64Array, hessian: Float64Array, limit: Float64Array) 
     curvature, axes = np.linalg.eigh(hessian)
     size = np.abs(curvature)
     size = np.maximum(size, 1e-6 * size.max(axis=1, keepdims=True) + np.finfo(float).tiny)
-    step = np.einsum("kij,kj,klj,kl->ki", axes, 1 / size, axes, gradient)
-    length = np.linalg.norm(step, axis=1)
-    return np.asarray(step * np.minimum(1.0, limit / np.maximum(length, 1e-300))[:, None])
+    along = (gradient[:, None] @ axes)[:, 0] / size
+    step = (axes @ along[:, :, None])[..., 0]
+    return np.asarray(step * np.minimum(1.0, limit / np.maximum(_lengths(step), 1e-300))[:, None])
+
+
+def _lengths(vectors: Float64Array) -> Float64Array:
+    return np.asarray(np.sqrt(np.einsum("ki,ki->k", vectors, vectors)))
 
 
 def exponential(vectors: Float64Array) -> Float64Array:
     """Rotations (k, 3, 3) about vectors (k, 3) by their lengths in radians (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=1)
-    x, y, z = vectors.T
-    zero = np.zeros(len(vectors))
-    cross = np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3)
+    angle = _lengths(vectors)
+    cross = (vectors @ _CROSS).reshape(-1, 3, 3)
     first, second = np.sinc(angle / np.pi), 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
     return np.asarray(np.eye(3) + first[:, None, None] * cross + second[:, None, None] * (cross @ cross))
 

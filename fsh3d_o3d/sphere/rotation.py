@@ -8,6 +8,7 @@ import numpy as np
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, FloatArray
 from fsh3d_o3d.sphere._threads import resolve_threads, run_all
+from fsh3d_o3d.sphere._wigner import euler_angles
 from fsh3d_o3d.sphere.conventions import packed_layout
 from fsh3d_o3d.sphere.harmonics import degrees_and_orders
 
@@ -32,7 +33,7 @@ def rotate_coefficients(coefficients: object, rotation: object, *, threads: int 
             ``reflect_coefficients``).
     """
     values, b = check.coefficients(coefficients)
-    angles = euler_angles(check.rotation(rotation))
+    alpha, beta, gamma = (float(angle[0]) for angle in euler_angles(check.rotation(rotation)[None]))
     count = resolve_threads(threads)
     rows = values.reshape(-1, b * b)
     layout = packed_layout(b)
@@ -41,7 +42,6 @@ def rotate_coefficients(coefficients: object, rotation: object, *, threads: int 
     def rotate(start: int) -> None:
         part = slice(start, start + _ROWS)
         packed = layout.pack(rows[part])
-        alpha, beta, gamma = angles
         rotated = ducc0.sht.rotate_alm(packed, b - 1, gamma, beta, alpha, nthreads=1)
         result[part] = layout.unpack(rotated)
 
@@ -61,12 +61,3 @@ def reflect_coefficients(coefficients: object) -> FloatArray:
 def parity(bandwidth: int) -> Float64Array:
     """(−1)^l of every coefficient, (b²,)."""
     return np.asarray(1.0 - 2.0 * (degrees_and_orders(bandwidth)[0] % 2), dtype=np.float64)
-
-
-def euler_angles(rotation: Float64Array) -> tuple[float, float, float]:
-    """α, β, γ of R = R_z(α) R_y(β) R_z(γ), accurate for any β, 0 and π included."""
-    alpha = np.arctan2(rotation[1, 2], rotation[0, 2])
-    beta = np.arctan2(np.hypot(rotation[0, 2], rotation[1, 2]), rotation[2, 2])
-    # Second row of R_z(−α) R, which R_y leaves alone. Where β is 0 or π, α is arbitrary and γ makes up for it.
-    row = np.cos(alpha) * rotation[1] - np.sin(alpha) * rotation[0]
-    return float(alpha), float(beta), float(np.arctan2(row[0], row[1]))

@@ -18,11 +18,12 @@ __all__ = ["RotationEstimate", "estimate_rotation", "estimate_rotations"]
 _FINE = 32  # degrees < this settle an angle far below what sampling leaves of it
 _COARSE = (8, 12, 16, 24, 32)  # degrees of the first search: the first bandwidth with enough of the functions in it
 _ENOUGH = 0.05  # of the energy
-_STARTS = 12  # local maxima of the first search that are followed
+_STARTS = 12  # local maxima of the first search that are followed, at least; twice as many as are asked for
+_MOST = 60  # maxima to ask for: the icosahedron's
 _STEPS = 20  # uphill, at most; four are usual
 _DISTINCT = np.radians(5.0)  # maxima closer than this are one
 _CONSTANT = 1e-8  # of the norm; below it, nothing but rounding depends on direction
-_BLOCK = 16  # candidates a job; fixed, so that results do not depend on the number of threads
+_BLOCK = 24  # candidates a job; fixed, so that results do not depend on the number of threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +69,13 @@ def estimate_rotation(
         ValueError: Different numbers of functions; functions that are constant on the sphere, which every rotation
             leaves alone; not finite.
     """
-    kept = check.integer(maxima, "maxima", minimum=1, maximum=_STARTS)
+    kept = check.integer(maxima, "maxima", minimum=1, maximum=_MOST)
     left, right, b = _pair(source, target, bandwidth)
     left, right = _varying(left, "source"), _varying(right, "target")
     with single_threaded_blas():
-        found = [_maxima(left, right, b, kept)]
+        found = [local_maxima(left, right, b, kept)]
         if reflections:
-            found.append(_maxima(left * parity(b), right, b, kept))
+            found.append(local_maxima(left * parity(b), right, b, kept))
     sign = np.repeat((1.0, -1.0), [len(found[0][1]), sum(len(part[1]) for part in found[1:])])
     rotations, values, hessians = (np.concatenate(parts) for parts in zip(*found, strict=True))
     order = np.argsort(-values, kind="stable")[:kept]
@@ -153,22 +154,22 @@ def _varying(rows: Float64Array, name: str) -> Float64Array:
     return rows / norm
 
 
-def _maxima(
+def local_maxima(
     source: Float64Array, target: Float64Array, b: int, kept: int
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Distinct maxima (k, 3, 3), their correlations (k,) and Hessians (k, 3, 3), best first."""
+    """Distinct maxima (k, 3, 3), their correlations (k,) and Hessians (k, 3, 3), best first, of rows (S, b²)."""
+    starts = max(_STARTS, 2 * kept)
     first = _first_bandwidth(source, target, b)
     search = correlator(first)
     products = search.products(source[None, :, : first**2], target[:, : first**2])
-    starts = search.rotations[search.peaks(search.on_grid(products), _STARTS)[0]]
-    rotations, values, hessians = search.ascend(np.repeat(products, len(starts), axis=0), starts, _STEPS)
-    chosen = _distinct(rotations, values, _STARTS)
+    places = search.rotations[search.peaks(search.on_grid(products), starts)[0]]
+    rotations, values, hessians = search.ascend(products, places, _STEPS)
+    chosen = _distinct(rotations, values, starts)
     if first < b:
         fine = correlator(b, 1)  # its grid is not used
         products = fine.products(source[None], target)
-        values = fine.values(products[0], rotations[chosen])
+        values = fine.values(products, rotations[chosen])
         chosen = [chosen[index] for index in np.argsort(-values, kind="stable")[: kept + 1]]
-        products = np.repeat(products, len(chosen), axis=0)
         rotations, values, hessians = fine.ascend(products, rotations[chosen], _STEPS)
         chosen = _distinct(rotations, values, kept)
     chosen = chosen[:kept]
