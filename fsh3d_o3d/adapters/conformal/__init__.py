@@ -1,0 +1,8 @@
+"""Sphere maps of closed surfaces of genus 0: conformal, or balanced between angles and areas."""
+
+from __future__ import annotations
+
+from fsh3d_o3d.adapters.conformal.conformal_map import ConformalMapOption, conformal_map
+from fsh3d_o3d.adapters.conformal.spherical_map import MapMethod, SphericalMap
+
+__all__ = ["ConformalMapOption", "MapMethod", "SphericalMap", "conformal_map"]
