@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from fsh3d_o3d import _validation as check
+from fsh3d_o3d._cpshd import CPSHDOption, compute_cpshd_feature, cpshd_descriptor
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._shd_option import SHDOption
 from fsh3d_o3d._validation import Float64Array, FloatArray
@@ -30,10 +31,13 @@ from fsh3d_o3d.sphere.rotation import rotate_coefficients
 from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform
 
 __all__ = [
+    "CPSHDOption",
     "SHDOption",
     "ShapeSignature",
+    "compute_cpshd_feature",
     "compute_shd_feature",
     "compute_signature",
+    "cpshd_descriptor",
     "descriptor_distances",
     "shd_descriptor",
 ]
@@ -114,7 +118,7 @@ def shd_descriptor(geometry: Any, option: SHDOption | None = None) -> NDArray[np
     return _described(geometry, option)[0].astype(np.float32).ravel()
 
 
-def descriptor_distances(first: object, second: object, option: SHDOption | None = None) -> Float64Array:
+def descriptor_distances(first: object, second: object, option: SHDOption | CPSHDOption | None = None) -> Float64Array:
     """Return the distance of every descriptor of one set to every one of another: (m, d), (k, d) → (m, k).
 
     L1 or L2 as ``option.metric`` says; for unit L1 norm within [0, 2]. A single descriptor (d,) is a set of one.
@@ -122,7 +126,8 @@ def descriptor_distances(first: object, second: object, option: SHDOption | None
     Raises:
         ValueError: Not descriptors of this option's length, or not finite.
     """
-    option = _checked(option)
+    if not isinstance(option, CPSHDOption):
+        option = _checked(option)
     length = option.feature_shape[0] * option.feature_shape[1]
     left, right = (_vectors(value, name, length) for value, name in ((first, "first"), (second, "second")))
     return np.asarray(cdist(left, right, "cityblock" if option.metric == "l1" else "euclidean"))

@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from fsh3d_o3d._validation import Float64Array, IntArray, choice, number, point
 from fsh3d_o3d._validation import directions as checked_directions
 from fsh3d_o3d.adapters._rays import Frame, UnitScene
+from fsh3d_o3d.adapters.conformal._diagnosis import mapping_obstacles
 from fsh3d_o3d.adapters.geometry import MeshArrays
 from fsh3d_o3d.adapters.star import SAME_HIT, visible_area
 from fsh3d_o3d.errors import GeometryError, NotStarShapedError
@@ -163,11 +164,20 @@ def _explanation(
         f"and {_percent(_visible(mesh, samples.center))} of its area is visible"
     )
     ways = ['method="shells" (ShellShape), which takes any topology']
+    if _maps_to_the_sphere(mesh):
+        ways.insert(0, 'method="conformal" (ConformalShape), which takes closed surfaces of genus 0')
     if behaviour == "error" and samples.missed <= fillable:
         ways.append('behaviour="outermost", which keeps what is seen from outside')
     if outside:
         ways.insert(0, "another center")
     return f"{text}; use {', or '.join(ways)}"
+
+
+def _maps_to_the_sphere(mesh: MeshArrays) -> bool:
+    try:
+        return not mapping_obstacles(mesh)
+    except GeometryError:  # no area
+        return False
 
 
 def _visible(mesh: MeshArrays, center: Float64Array) -> float:

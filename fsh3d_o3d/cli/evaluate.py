@@ -5,14 +5,17 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
 from fsh3d_o3d.adapters.writing import atomic_write_bytes
 from fsh3d_o3d.cli.describe import SHD_OPTIONS
+from fsh3d_o3d.descriptors import CPSHDOption
 from fsh3d_o3d.retrieval.classification import read_classification
+from fsh3d_o3d.retrieval.cpshd import CPSHDDescriptor
 from fsh3d_o3d.retrieval.evaluation import Evaluation, evaluate_models
+from fsh3d_o3d.retrieval.extraction import Descriptor
 from fsh3d_o3d.retrieval.shd import SHDDescriptor, on_equiangular_grid
 
 _COLUMNS = ("nearest neighbour", "first tier", "second tier", "E-measure", "DCG")
@@ -28,16 +31,31 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--models", required=True, metavar="DIR", help="where the models are, in any sub-folder")
     parser.add_argument("--classification", required=True, metavar="FILE", help="classes and model ids (.cla)")
-    parser.add_argument("--descriptor", choices=("shd",), default="shd", help="what to evaluate (default: shd)")
-    parser.add_argument("--option", choices=tuple(SHD_OPTIONS), default="best", help="its options (default: best)")
+    parser.add_argument("--descriptor", choices=("shd", "cpshd"), default="shd", help="what to evaluate (default: shd)")
+    parser.add_argument("--option", choices=tuple(SHD_OPTIONS), help="options of shd (default: best)")
     parser.add_argument(
         "--grid", choices=("fibonacci", "equiangular"), default="fibonacci", help="directions (default: fibonacci)"
+    )
+    parser.add_argument(
+        "--repair",
+        type=_cells,
+        metavar="CELLS",
+        help="for cpshd, make closed surfaces of genus 0 of all others at this resolution (default: they fail)",
+    )
+    parser.add_argument(
+        "--area-weight", type=float, metavar="A", help="for cpshd, the balance of the map; 0 is conformal"
     )
     parser.add_argument(
         "--rerank",
         type=_candidates,
         metavar="K",
         help="align the K best candidates of each query with it and rank them anew (default: none)",
+    )
+    parser.add_argument(
+        "--neighbors",
+        type=_neighbors,
+        metavar="K",
+        help="score as well rankings that use the library itself, by common neighbours among about K",
     )
     parser.add_argument("--workers", type=_positive, metavar="N", help="processes (default: all this process may use)")
     parser.add_argument("--json", metavar="FILE", help="write all figures to this file")
@@ -50,20 +68,17 @@ def add_parser(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Evaluate, print the table, write what was asked for."""
     _check_targets(options)
-    option = SHD_OPTIONS[options.option]()
-    if options.grid == "equiangular":
-        option = on_equiangular_grid(option)
+    descriptor, name = _descriptor(options)
     classification = read_classification(options.classification)
     evaluation = evaluate_models(
         options.models,
         classification,
-        SHDDescriptor(option, rerank=options.rerank),
+        descriptor,
         workers=options.workers,
         cache=not options.no_cache,
         progress=not options.quiet,
+        neighbors=options.neighbors,
     )
-    again = "" if options.rerank is None else f", {options.rerank} re-ranked"
-    name = f"{options.descriptor} ({options.option}, {options.grid}{again})"
     if options.json:
         text = json.dumps({"descriptor": name, **evaluation.as_dict()}, indent=1, allow_nan=False)
         atomic_write_bytes(options.json, f"{text}\n".encode("ascii"))
@@ -78,6 +93,27 @@ def run(options: argparse.Namespace) -> int:
     return 1 if evaluation.failed else 0
 
 
+def _descriptor(options: argparse.Namespace) -> tuple[Descriptor, str]:
+    """What to evaluate, and what to call it."""
+    strange = {"shd": ("repair", "area_weight"), "cpshd": ("option", "rerank")}[options.descriptor]
+    for name in strange:
+        if getattr(options, name) is not None:
+            raise ValueError(f"--{name.replace('_', '-')} does not belong to --descriptor {options.descriptor}")
+    equiangular = options.grid == "equiangular"
+    if options.descriptor == "cpshd":
+        option = CPSHDOption(repair=options.repair)
+        if options.area_weight is not None:
+            option = replace(option, map=replace(option.map, area_weight=options.area_weight))
+        described = "refused" if options.repair is None else f"repaired at {options.repair}"
+        name = f"cpshd ({options.grid}, area weight {option.map.area_weight:g}, open models {described})"
+        return CPSHDDescriptor(on_equiangular_grid(option) if equiangular else option), name
+    chosen = options.option or "best"
+    shd = SHD_OPTIONS[chosen]()
+    again = "" if options.rerank is None else f", {options.rerank} re-ranked"
+    name = f"shd ({chosen}, {options.grid}{again})"
+    return SHDDescriptor(on_equiangular_grid(shd) if equiangular else shd, rerank=options.rerank), name
+
+
 def _check_targets(options: argparse.Namespace) -> None:
     """Refuse before the long part what cannot be written after it."""
     if options.plot and Path(options.plot).suffix.lower() != ".png":
@@ -90,13 +126,17 @@ def _check_targets(options: argparse.Namespace) -> None:
 def _table(name: str, evaluation: Evaluation) -> list[str]:
     metrics = evaluation.metrics
     rows = {"micro": astuple(metrics.micro), "macro": astuple(metrics.macro)}
+    if evaluation.neighborhood is not None:
+        rows["micro, common neighbours"] = astuple(evaluation.neighborhood.micro)
+        rows["macro, common neighbours"] = astuple(evaluation.neighborhood.macro)
+    width = max(6, *map(len, rows))
     return [
         f"{name}: {evaluation.models} models, {len(metrics.classes)} classes scored, {len(evaluation.failed)} failed",
-        "  ".join([f"{'%':<6}", *_COLUMNS]),
+        "  ".join([f"{'%':<{width}}", *_COLUMNS]),
         *(
             "  ".join(
                 [
-                    f"{row:<6}",
+                    f"{row:<{width}}",
                     *(f"{100 * value:>{len(column)}.1f}" for value, column in zip(values, _COLUMNS, strict=True)),
                 ]
             )
@@ -112,6 +152,14 @@ def _positive(text: str, maximum: int = 1024) -> int:
     if not 1 <= value <= maximum:
         raise argparse.ArgumentTypeError(f"{text} is not between 1 and {maximum}")
     return value
+
+
+def _neighbors(text: str) -> int:
+    return max(2, _positive(text, 10**6))
+
+
+def _cells(text: str) -> int:
+    return _positive(text, 1024)
 
 
 def _candidates(text: str) -> int:

@@ -6,6 +6,7 @@ import argparse
 import os
 from typing import Any
 
+from fsh3d_o3d.adapters.conformal._diagnosis import mapping_obstacles
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.mesh_measures import measure_mesh, weld
 from fsh3d_o3d.adapters.radial_cloud import cloud_center, fit_radial_cloud
@@ -101,7 +102,8 @@ def _describe_mesh(mesh: MeshArrays) -> dict[str, Any]:
     if measures.area == 0:
         raise GeometryError("the mesh has no area: all its triangles are degenerate")
     star = star_center(welded, "best")
-    method, reason = _fitting_method(star, closed=measures.closed, genus=measures.genus)
+    obstacles = mapping_obstacles(mesh)
+    method, reason = _fitting_method(star, obstacles)
     return {
         **facts,
         "center": star.center.tolist(),
@@ -109,19 +111,23 @@ def _describe_mesh(mesh: MeshArrays) -> dict[str, Any]:
         "visible_area": star.visible_area,
         "directions_missed": star.missed,
         "directions_multiple": star.multiple,
+        "maps_to_the_sphere": not obstacles,
         "method": method,
         "reason": reason,
     }
 
 
-def _fitting_method(star: StarReport, *, closed: bool, genus: int | None) -> tuple[str, str]:
+def _fitting_method(star: StarReport, obstacles: tuple[str, ...]) -> tuple[str, str]:
     if star.exact:
         return "radial", "star-shaped: the center sees the whole surface"
     if max(star.missed, star.multiple) <= ACCEPTED_DIRECTIONS and 1 - star.visible_area <= HIDDEN_AREA:
         return "radial", "nearly star-shaped: all but a small part of the surface is seen from the center"
-    if genus is not None:
-        return "shells", f"closed, of genus {genus}, and no center sees the whole surface: shells take any topology"
-    return "shells", "not star-shaped, and " + ("not one manifold piece" if closed else "not closed")
+    if not obstacles:
+        return "conformal", "closed, of genus 0, and no center sees the whole surface: it maps to the sphere"
+    return "shells", (
+        f"not star-shaped, and for the conformal method the mesh {'; '.join(obstacles)}: shells take any topology, "
+        "and --repair makes a closed surface of genus 0"
+    )
 
 
 def _shown(value: Any) -> str:

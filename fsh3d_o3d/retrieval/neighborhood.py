@@ -43,7 +43,7 @@ def neighborhood_distances(distances: object, *, neighbors: int = 10) -> Float64
     circle, inner = _mutual(ranks, k), _mutual(ranks, k // 2)
     shared = inner.astype(np.float32) @ circle.T.astype(np.float32)  # (whose inner circle, whose circle)
     agreed = _AGREEING * inner.sum(axis=1)
-    joining = circle & (shared.T > agreed)
+    joining = circle & (agreed < shared.T)
     circle |= joining.astype(np.float32) @ inner.astype(np.float32) > 0
     scale = float(np.median(np.take_along_axis(table, order[:, 1 : k + 1], axis=1)))
     nearness = np.where(circle, np.exp(-table / (scale if scale > 0 else 1.0)), 0.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,14 @@ from tqdm import tqdm
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
-from fsh3d_o3d.descriptors import SHDOption, compute_signature, descriptor_distances, shd_descriptor
+from fsh3d_o3d.descriptors import CPSHDOption, SHDOption, compute_signature, descriptor_distances, shd_descriptor
 from fsh3d_o3d.retrieval.reranking import aligned_distances, mixed_distances
 from fsh3d_o3d.sphere.grids import equiangular_grid
 from fsh3d_o3d.sphere.weights import driscoll_healy_weights
 
 __all__ = ["SHDDescriptor", "on_equiangular_grid"]
+
+Option = TypeVar("Option", SHDOption, CPSHDOption)
 
 _ALIGNED = 8  # degrees < this are aligned
 
@@ -100,7 +102,7 @@ def _aligned(
     return result
 
 
-def on_equiangular_grid(option: SHDOption) -> SHDOption:
-    """Return the same option on the 2b × 2b grid with Driscoll–Healy weights: the paper's SHD-ESH."""
+def on_equiangular_grid(option: Option) -> Option:
+    """Return the same option on the 2b × 2b grid with Driscoll–Healy weights: the paper's ESH."""
     b = option.bandwidth
     return dataclasses.replace(option, grid=equiangular_grid(b), weights=driscoll_healy_weights(b))

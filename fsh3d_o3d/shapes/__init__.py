@@ -6,14 +6,15 @@ import os
 
 from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.shapes._cube import ShellVolume
+from fsh3d_o3d.shapes.conformal import ConformalShape
 from fsh3d_o3d.shapes.radial import RadialShape
 from fsh3d_o3d.shapes.shell import ShellShape
 from fsh3d_o3d.shapes.storage import read_arrays
 
-__all__ = ["RadialShape", "ShellShape", "ShellVolume", "load_shape"]
+__all__ = ["ConformalShape", "RadialShape", "ShellShape", "ShellVolume", "load_shape"]
 
 
-def load_shape(path: str | os.PathLike[str]) -> RadialShape | ShellShape:
+def load_shape(path: str | os.PathLike[str]) -> RadialShape | ShellShape | ConformalShape:
     """Read a shape that ``save`` wrote.
 
     Raises:
@@ -25,4 +26,6 @@ def load_shape(path: str | os.PathLike[str]) -> RadialShape | ShellShape:
         return RadialShape._from_arrays(path, arrays)
     if kind == ShellShape.__name__:
         return ShellShape._from_arrays(path, arrays)
+    if kind == ConformalShape.__name__:
+        return ConformalShape._from_arrays(path, arrays)
     raise GeometryReadError(f"{os.fspath(path)}: a shape of kind {kind!r}, which this version does not know")

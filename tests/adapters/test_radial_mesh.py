@@ -155,7 +155,7 @@ def test_the_default_error_says_how_far_and_what_to_do():
     assert "\n" not in message
     assert "(0.5, 1.5, 0.5): 0 % of directions never meet it" in message
     assert "% of its area is visible" in message
-    for way in ('method="shells"', 'behaviour="outermost"'):
+    for way in ('method="conformal"', 'method="shells"', 'behaviour="outermost"'):
         assert way in message
     assert "which lies outside" not in message
 

@@ -1,0 +1,299 @@
+"""Closed surfaces of genus 0 as three functions on the sphere: position over a conformal map."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from fsh3d_o3d import _validation as check
+from fsh3d_o3d._open3d import open3d
+from fsh3d_o3d._validation import Float64Array, FloatArray
+from fsh3d_o3d.adapters.conformal import ConformalMapOption, SphericalMap, conformal_map
+from fsh3d_o3d.adapters.geometry import (
+    GEOMETRY_KINDS,
+    GeometryKind,
+    MeshArrays,
+    PointArrays,
+    chosen_kind,
+    geometry_arrays,
+    open3d_mesh,
+    open3d_point_cloud,
+)
+from fsh3d_o3d.adapters.mesh_measures import area_samples
+from fsh3d_o3d.errors import GeometryReadError
+from fsh3d_o3d.shapes import _attributes, _decoding, storage
+from fsh3d_o3d.shapes._attributes import COLORS
+from fsh3d_o3d.shapes._decoding import Triangulation
+from fsh3d_o3d.shapes._map_sampling import checked_size, transform_map
+from fsh3d_o3d.sphere.coefficients import degree_energies, filter_coefficients, truncate
+from fsh3d_o3d.sphere.grids import SphericalGrid, grid_from_directions
+
+
+@dataclass(frozen=True, eq=False)
+class ConformalShape:
+    """A closed surface of genus 0 as its position x(ω) = Σ c_lm Y_lm(ω) over a map onto the sphere, star-shaped or not.
+
+    The paper's second parameterisation, after Agus et al., WISH, 2020; here over the map of ``conformal_map``.
+    """
+
+    coefficients: Float64Array
+    """(3, b²) of x, y and z in the units of the input; real orthonormal harmonics, index l² + l + m. Read-only."""
+    attributes: Mapping[str, Float64Array] = field(default_factory=dict)
+    """Coefficients (b²,) or (k, b²) of further functions on the surface by name; ``"colors"`` (3, b²) are colours in
+    [0, 1]. Read-only."""
+    kind: GeometryKind = "legacy"
+    """Which Open3D objects it becomes unless told otherwise: those it came from."""
+
+    def __post_init__(self) -> None:
+        coefficients, b = check.coefficients(self.coefficients)
+        if coefficients.shape != (3, b * b):
+            raise ValueError(f"coefficients must have shape (3, b²), got {coefficients.shape}")
+        check.choice(self.kind, "kind", GEOMETRY_KINDS)
+        own = np.array(coefficients, dtype=np.float64)
+        own.setflags(write=False)
+        attributes = _attributes.checked_coefficients(self.attributes, b * b)
+        object.__setattr__(self, "coefficients", own)
+        object.__setattr__(self, "attributes", MappingProxyType(attributes))
+
+    def __reduce__(self) -> tuple[Any, ...]:  # a mapping proxy does not pickle
+        return type(self), (self.coefficients, dict(self.attributes), self.kind)
+
+    @classmethod
+    def from_geometry(
+        cls,
+        geometry: Any,
+        bandwidth: int = 64,
+        *,
+        option: ConformalMapOption | None = None,
+        attributes: Mapping[str, Any] | None = None,
+        colors: bool = False,
+        oversampling: float | None = None,
+        threads: int | None = None,
+    ) -> ConformalShape:
+        """Encode a closed mesh of genus 0: map it onto the sphere, sample x, y, z there, transform.
+
+        Args:
+            geometry: Open3D triangle mesh, legacy or tensor (or ``MeshArrays``); see ``prepare_closed`` for others.
+            bandwidth: b; the shape has 3b² coefficients.
+            option: Of the map; those that reconstruct best if not given.
+            attributes: Values (v,) or (v, k) at the vertices of the mesh by name, to be carried along.
+            colors: Carry the vertex colours of the mesh along.
+            oversampling: Fibonacci directions in units of 4b²; 1.5 if not given. More change errors by a few
+                hundredths at most, in either direction.
+            threads: Number of threads, or None for all that the process may use. Does not change the result.
+
+        Raises:
+            GeometryError: Not a closed manifold of genus 0 in one piece; says what it is and what would help.
+            ValueError, TypeError: Another argument is out of range, misshapen or of the wrong type.
+        """
+        b = check.bandwidth(bandwidth)
+        checked_size(b, oversampling)
+        mesh, kind = geometry_arrays(geometry)
+        if isinstance(mesh, PointArrays):
+            raise TypeError("a conformal shape is made of a triangle mesh, got a point cloud")
+        values = _attributes.checked_values(attributes, len(mesh.vertices))
+        if colors:
+            values[COLORS] = _attributes.vertex_colors(geometry, len(mesh.vertices))
+        surface = conformal_map(mesh, option)
+        carried = {name: array[surface.source_vertices] for name, array in values.items()}
+        return cls.from_map(surface, b, attributes=carried, oversampling=oversampling, threads=threads, kind=kind)
+
+    @classmethod
+    def from_map(
+        cls,
+        surface: SphericalMap,
+        bandwidth: int = 64,
+        *,
+        attributes: Mapping[str, Any] | None = None,
+        oversampling: float | None = None,
+        threads: int | None = None,
+        kind: GeometryKind = "legacy",
+    ) -> ConformalShape:
+        """Encode a surface that is mapped already; arguments as for ``from_geometry``.
+
+        Args:
+            surface: The map; any number of shapes can be made of it.
+            bandwidth: b.
+            attributes: Values (v,) or (v, k) at the vertices of ``surface.mesh`` by name.
+            oversampling: Fibonacci directions in units of 4b².
+            threads: Number of threads.
+            kind: Which Open3D objects the shape becomes.
+        """
+        b = check.bandwidth(bandwidth)
+        size = checked_size(b, oversampling)
+        values = _attributes.checked_values(attributes, len(surface.mesh.vertices))
+        return cls(*transform_map(surface, values, b, size, threads), kind)
+
+    @property
+    def bandwidth(self) -> int:
+        """b: degrees 0 … b − 1."""
+        return int(np.sqrt(self.coefficients.shape[1]) + 0.5)
+
+    @property
+    def center(self) -> Float64Array:
+        """(3,) mean position over the sphere of the map: what the coefficients of degree 0 say."""
+        return _decoding.mean_position(self.coefficients)
+
+    @property
+    def volume(self) -> float:
+        """The enclosed volume, exact for the band-limited surface; parts turned inside out count as negative."""
+        return _decoding.volume_side(self.coefficients) ** 3
+
+    def evaluate(self, directions: object) -> Float64Array:
+        """Return positions (m, 3) at unit vectors (m, 3) on the sphere of the map, in the units of the input."""
+        return _decoding.values_at(self.coefficients, directions)
+
+    def attribute(self, name: str, directions: object) -> Float64Array:
+        """Return an attribute at unit vectors (m, 3): (m,) or (m, k) as it was given. Colours are clipped to [0, 1].
+
+        Raises:
+            ValueError: There is no such attribute.
+        """
+        if name not in self.attributes:
+            known = ", ".join(map(repr, self.attributes)) or "none"
+            raise ValueError(f"the shape has no attribute {name!r}; it has {known}")
+        values = _decoding.values_at(self.attributes[name], directions)
+        return np.clip(values, 0, 1) if name == COLORS else values
+
+    def mesh_arrays(
+        self, resolution: int | None = None, triangulation: Triangulation = "icosphere"
+    ) -> tuple[MeshArrays, Float64Array]:
+        """Return the surface as arrays: a closed mesh of genus 0, and its vertex normals (v, 3).
+
+        See ``to_triangle_mesh``.
+        """
+        sphere, mesh = self._decoded(resolution, triangulation)
+        return mesh, self._normals(sphere)
+
+    def to_triangle_mesh(
+        self,
+        resolution: int | None = None,
+        *,
+        triangulation: Triangulation = "icosphere",
+        kind: GeometryKind | None = None,
+    ) -> Any:
+        """Decode to an Open3D ``TriangleMesh`` with vertex normals from the analytic gradient.
+
+        The mesh is closed, manifold, oriented as the input and of genus 0. It has the colours that the shape carries,
+        and a tensor mesh all other attributes too.
+
+        Args:
+            resolution: About how many vertices; 24b², within reason, if not given.
+            triangulation: Of the sphere: ``"icosphere"``, the smallest geodesic icosahedron with as many vertices, or
+                ``"fibonacci"``, the Delaunay triangles of a Fibonacci grid of just as many.
+            kind: ``"legacy"`` or ``"tensor"``; that of the input if not given.
+        """
+        chosen = chosen_kind(kind, self.kind)
+        sphere, arrays = self._decoded(resolution, triangulation)
+        carried = {name: self.attribute(name, sphere) for name in self.attributes}
+        mesh = open3d_mesh(arrays, chosen, normals=self._normals(sphere), colors=carried.pop(COLORS, None))
+        if chosen == "tensor":
+            for name, values in carried.items():
+                mesh.vertex[name] = open3d().core.Tensor(np.ascontiguousarray(values))
+        return mesh
+
+    def level_of_detail(
+        self, bandwidths: Sequence[int] | None = None, *, kind: GeometryKind | None = None
+    ) -> dict[int, Any]:
+        """Return Open3D meshes of the shape truncated to several bandwidths, by bandwidth.
+
+        Args:
+            bandwidths: None above the shape's own, each for a mesh of about 24b² vertices; 4, 8, 16, … if not given.
+            kind: ``"legacy"`` or ``"tensor"``; that of the input if not given.
+        """
+        if bandwidths is None:
+            bandwidths = [2**k for k in range(2, 13) if 2**k <= self.bandwidth] or [self.bandwidth]
+        return {b: self.truncated(b).to_triangle_mesh(_decoding.level_resolution(b), kind=kind) for b in bandwidths}
+
+    def to_point_cloud(self, n: int = 10_000, *, kind: GeometryKind | None = None) -> Any:
+        """Decode to an Open3D ``PointCloud`` of n points spread evenly over the surface, with normals and colours."""
+        count = check.integer(n, "n", minimum=1, maximum=10**8)
+        sphere, mesh = self._decoded(None, "icosphere")
+        points, triangle = area_samples(mesh, count)
+        inner = _decoding.interpolation(mesh, points, triangle)
+        normals = _decoding.unit_rows(inner @ self._normals(sphere))
+        colors = inner @ self.attribute(COLORS, sphere) if COLORS in self.attributes else None
+        return open3d_point_cloud(PointArrays(points, normals, colors), chosen_kind(kind, self.kind))
+
+    def compute_feature(self) -> Any:
+        """Return the energies per degree, pooled over x, y and z, as an Open3D ``Feature`` of shape (b, 1).
+
+        They do not change when the input is rotated or moved, nor when its map is rotated, and scale with it. Degree 0
+        is the position and counts as 0.
+        """
+        energies = np.hypot.reduce(degree_energies(self.coefficients), axis=0)
+        energies[0] = 0
+        feature = open3d().pipelines.registration.Feature()
+        feature.data = energies[:, None]
+        return feature
+
+    def truncated(self, bandwidth: int) -> ConformalShape:
+        """Return the shape of the degrees below ``bandwidth``: a coarser level of detail."""
+        return self._changed(lambda coefficients: truncate(coefficients, bandwidth))
+
+    def filtered(self, gain_per_degree: object, *, keep_volume: bool = True) -> ConformalShape:
+        """Return the shape with each degree multiplied by a gain, (b,) or a function of degree (``heat_filter``).
+
+        Damping high degrees smooths, and shrinks, since all degrees but 0 hold a part of the size. ``keep_volume``
+        therefore scales the result about its centre to the volume before, if either encloses any: smoothed as much as
+        one likes, it tends to an ellipsoid and not to a point. Attributes are multiplied by the gains alone.
+        """
+        smooth = self._changed(lambda coefficients: filter_coefficients(coefficients, gain_per_degree))
+        if not keep_volume:
+            return smooth
+        before, after = (_decoding.volume_side(shape.coefficients) for shape in (self, smooth))
+        if before <= 0 or after <= 0:
+            return smooth
+        return replace(smooth, coefficients=_decoding.scaled(smooth.coefficients, before / after))
+
+    def rotated(self, rotation: object) -> ConformalShape:
+        """Return the shape rotated about its centre by R (3, 3): every point p at center + R (p − center).
+
+        Raises:
+            ValueError: R is not a rotation.
+        """
+        turned = check.rotation(rotation) @ self.coefficients
+        turned[:, 0] = self.coefficients[:, 0]
+        return replace(self, coefficients=turned)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the shape to an ``.npz`` of plain arrays; ``load_shape`` reads it back, equal to the last bit.
+
+        Raises:
+            ValueError: The name does not end in ``.npz``.
+            OSError: The file cannot be written; what was there stays.
+        """
+        arrays = {"coefficients": self.coefficients, "geometry": np.array(self.kind)}
+        storage.write_arrays(path, type(self).__name__, {**arrays, **_attributes.attributes_as_arrays(self.attributes)})
+
+    @classmethod
+    def _from_arrays(cls, path: str | os.PathLike[str], arrays: dict[str, Any]) -> ConformalShape:
+        coefficients = storage.field(path, arrays, "coefficients", 2)
+        try:
+            kind = str(arrays.get("geometry", "legacy"))
+            return cls(coefficients, _attributes.attributes_from_arrays(path, arrays), kind)  # type: ignore[arg-type]
+        except (ValueError, TypeError) as error:
+            if isinstance(error, GeometryReadError):
+                raise
+            raise GeometryReadError(f"{os.fspath(path)}: {error}") from None
+
+    def _changed(self, change: Callable[[Float64Array], FloatArray]) -> ConformalShape:
+        def changed(coefficients: Float64Array) -> Float64Array:
+            return np.asarray(change(coefficients), dtype=np.float64)
+
+        carried = {name: changed(coefficients) for name, coefficients in self.attributes.items()}
+        return replace(self, coefficients=changed(self.coefficients), attributes=carried)
+
+    def _decoded(self, resolution: int | None, triangulation: Triangulation) -> tuple[SphericalGrid, MeshArrays]:
+        points = _decoding.usual_resolution(self.bandwidth) if resolution is None else resolution
+        directions, triangles = _decoding.decoding_sphere(points, triangulation)
+        sphere = grid_from_directions(directions)
+        return sphere, MeshArrays(self.evaluate(sphere), triangles)
+
+    def _normals(self, sphere: SphericalGrid) -> Float64Array:
+        return _decoding.unit_normals(self.coefficients, sphere)
