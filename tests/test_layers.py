@@ -13,8 +13,13 @@ import pytest
 import fsh3d_o3d
 
 PACKAGE = Path(fsh3d_o3d.__file__).parent
-# Each may import those before it; descriptors.py and its option are a layer of their own.
-LAYERS = ["sphere", "adapters", "shapes", "descriptors.py", "retrieval", "report", "cli"]
+# Each may import those before it.
+LAYERS = ["sphere", "adapters", "shapes", "descriptors.py", "registration.py", "retrieval", "report", "cli"]
+# Private modules beside a layer that is one file.
+PARTS = {
+    "descriptors.py": {"_shd_option", "_cpshd"},
+    "registration.py": {"_registration_fit", "_registration_search", "_registration_surface"},
+}
 MODULES = [layer.removesuffix(".py") for layer in LAYERS]
 BESIDE = {"_validation", "errors", "_version"}  # beside the layers, for all of them
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -35,15 +40,15 @@ def imported(path: Path) -> Iterator[str]:
 
 @pytest.mark.parametrize("path", FILES, ids=NAMES)
 def test_imports_go_down(path: Path) -> None:
-    layer = path.relative_to(PACKAGE).parts[0].replace("_shd_option.py", "descriptors.py")
+    first = path.relative_to(PACKAGE).parts[0]
+    layer = next((layer for layer, parts in PARTS.items() if first.removesuffix(".py") in parts), first)
     if layer not in LAYERS:
         allowed = {*MODULES, *BESIDE, "_open3d"} if layer == "__init__.py" else BESIDE
     else:
         allowed = {*MODULES[: MODULES.index(layer.removesuffix(".py")) + 1], *BESIDE}
         if layer != "sphere":
             allowed.add("_open3d")
-        if "descriptors" in allowed:
-            allowed.add("_shd_option")
+        allowed |= {part for name, parts in PARTS.items() if name.removesuffix(".py") in allowed for part in parts}
         if layer == "cli":
             allowed |= vars(fsh3d_o3d).keys()  # the top layer may use the package as users do
     own = [name.split(".") for name in imported(path) if name.split(".")[0] == "fsh3d_o3d"]

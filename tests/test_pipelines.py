@@ -26,7 +26,39 @@ def test_demo(tmp_path):
     assert "Distances between features" in done.stdout
 
 
+def test_align_scans(tmp_path):
+    done = subprocess.run(
+        [sys.executable, str(PIPELINES / "align_scans.py"), "--output", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in tmp_path.iterdir()} == {"aligned.ply", "aligned.png"}
+    assert "confidence 1.00, ambiguity none, scale 0.00" in done.stdout
+    assert "ICP from where they lie           fitness 0.000" in done.stdout
+    assert "spherical registration, then ICP  fitness 1.000" in done.stdout
+
+
+def test_sphere_map(tmp_path):
+    done = subprocess.run(
+        [sys.executable, str(PIPELINES / "sphere_map.py"), "--bandwidth", "16", "--output", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in tmp_path.iterdir()} == {"conformal.png", "balanced.png"}
+    conformal, balanced = (line.split() for line in done.stdout.splitlines()[1:3])
+    # A conformal map shears nothing and starves the fingers; a balanced one is the other way round.
+    assert float(conformal[1]) < 1.5 < float(balanced[1])
+    assert float(balanced[4]) < 0.2 * float(conformal[4])
+
+
 def test_every_script_is_tested_here():
-    tested = Path(__file__).read_text(encoding="utf-8")
-    for script in PIPELINES.rglob("*.py"):
+    tests = Path(__file__).parent.glob("test_*.py")
+    tested = "".join(path.read_text(encoding="utf-8") for path in tests)
+    for script in PIPELINES.rglob("[!_]*.py"):
         assert f'"{script.name}"' in tested, f"{script} is run by no test"

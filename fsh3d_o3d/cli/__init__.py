@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Sequence
 
 from fsh3d_o3d._version import __version__
-from fsh3d_o3d.cli import cache, describe, evaluate, info, reconstruct
+from fsh3d_o3d.cli import align, cache, describe, evaluate, index, info, query, reconstruct
 from fsh3d_o3d.cli._console import error_line
 
 __all__ = ["main"]
@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--version", action="version", version=f"fsh3d_o3d {__version__}")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (reconstruct, describe, evaluate, info, cache):
+    for module in (reconstruct, describe, align, evaluate, index, query, info, cache):
         module.add_parser(commands)
     try:
         options = parser.parse_args(arguments)

@@ -11,6 +11,7 @@ from fsh3d_o3d.retrieval.metrics import (
     RetrievalScores,
     retrieval_metrics,
 )
+from fsh3d_o3d.retrieval.shape_index import Hit, IndexUpdate, NearDuplicate, ShapeIndex, ShapeIndexError
 
 __all__ = [
     # metrics
@@ -31,4 +32,10 @@ __all__ = [
     "evaluate_models",
     "extract_descriptors",
     "read_classification",
+    # index
+    "Hit",
+    "IndexUpdate",
+    "NearDuplicate",
+    "ShapeIndex",
+    "ShapeIndexError",
 ]

@@ -1,0 +1,140 @@
+"""Search in an index: recall against comparing everything, time of a query, bytes a row, loss by compact storage.
+
+Rows are mixtures of the signatures of real shapes with noise on top: as near to each other as shapes of one class
+are. With the Princeton benchmark's models beside the project (``../data/psb_train``) they are mixed from these, else
+from the samples.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks._measure import interleave
+from benchmarks._table import Check, Column, Row, Table
+from fsh3d_o3d.adapters.reading import read_geometry_arrays
+from fsh3d_o3d.descriptors import ShapeSignature, SHDOption, descriptor_distances
+from fsh3d_o3d.errors import GeometryError
+from fsh3d_o3d.retrieval._index_codec import decoded, encoded
+from fsh3d_o3d.retrieval._index_extraction import Described, FileState, describe
+from fsh3d_o3d.retrieval._index_rows import Signatures, model_columns
+from fsh3d_o3d.retrieval._index_search import EXACT_BELOW, IndexSearch
+from fsh3d_o3d.retrieval._index_store import IndexStore
+from fsh3d_o3d.retrieval.library_files import library_files
+from fsh3d_o3d.retrieval.reranking import aligned_distances
+
+ROOT = Path(__file__).parents[1]
+_OPTION = SHDOption.best()
+_BATCH = 2000
+_NOISE = 0.3  # of each number's spread over the shapes
+_SHARE = 0.4  # of the second shape in a mixture, at most
+
+
+def run(*, quick: bool = False) -> Iterator[Table]:
+    """Yield the table of index sizes."""
+    bases = _bases(12 if quick else 300)
+    rows = [
+        _case(bases, count, queries=5 if quick else 50) for count in ((300, 6000) if quick else (907, 10_000, 100_000))
+    ]
+    loss = _loss(bases)
+    yield Table(
+        "index",
+        f"Search in an index of mixtures of {len(bases)} shapes; exact below {EXACT_BELOW:,} rows",
+        (
+            Column("rows", "rows", ",d"),
+            Column("write", "write s", ".1f"),
+            Column("index", "index s", ".1f"),
+            Column("bytes", "KB a row", ".2f", 1e-3),
+            Column("recall", "recall@10", ".4f"),
+            Column("query", "query ms", ".1f", 1e3),
+            Column("rerank", "align 200 ms", ".1f", 1e3),
+        ),
+        tuple(rows),
+        notes=(
+            f"Distances of stored features differ from those computed by {100 * loss:.3f} % (median over pairs).",
+            "A query is the search alone: the descriptor is not computed again. Files are in the page cache.",
+        ),
+    )
+
+
+def _case(bases: list[ShapeSignature], count: int, queries: int) -> Row:
+    random = np.random.default_rng(count)
+    with tempfile.TemporaryDirectory() as folder:
+        store = IndexStore.open(os.path.join(folder, "index"), _OPTION)  # noqa: PTH118 - text, as it is stored
+        begin = time.perf_counter()
+        for start in range(0, count, _BATCH):
+            mixed = _mixtures(bases, min(_BATCH, count - start), random)
+            found = [Described(FileState(0, 0), bytes(32), signature) for signature in mixed]
+            names = [f"/library/model-{start + k}.off" for k in range(len(found))]
+            store.put(store.models, model_columns(names, found, _OPTION))
+        written = time.perf_counter() - begin
+        search, exact = IndexSearch(store, _OPTION), IndexSearch(store, _OPTION, exact_below=2**62)
+        begin = time.perf_counter()
+        search.index()
+        indexed = time.perf_counter() - begin
+        size = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file()) / count
+        probes = [Signatures.of(signature) for signature in _mixtures(bases, queries, random)]
+        found = [search.nearest(probe, 10).rows for probe in probes]
+        recall = np.mean(
+            [np.isin(exact.nearest(probe, 10).rows, rows).mean() for probe, rows in zip(probes, found, strict=True)]
+        )
+        turn = iter(range(10**9))
+        candidates = search.nearest(probes[0], 200)
+        timing = interleave(
+            {
+                "query": lambda: search.nearest(probes[next(turn) % queries], 10),
+                "rerank": lambda: aligned_distances(probes[0].coefficients[0], candidates.signatures.coefficients),
+            },
+            rounds=21,
+            budget=10.0,
+        )
+    checks = (
+        Check("recall@10", float(recall), ">=", 0.99),
+        Check("KB", size / 1000, "<=", 12.0),
+        Check("query ms", 1e3 * timing["query"].median, "<=", 10.0),
+        Check("align ms", 1e3 * timing["rerank"].median, "<=", 30.0),
+    )
+    cells = {"rows": count, "write": written, "index": indexed, "bytes": size, "recall": float(recall), **timing}
+    return Row(cells, checks)
+
+
+def _bases(most: int) -> list[ShapeSignature]:
+    """Signatures of real shapes."""
+    library = ROOT.parent / "data" / "psb_train" / "models"
+    files = list(library_files(library if library.is_dir() else ROOT / "samples"))
+    found = []
+    for path in files[:: max(1, len(files) // most)]:
+        try:
+            found.append(describe(read_geometry_arrays(path), _OPTION))
+        except GeometryError:  # noqa: PERF203 - the samples hold broken files, too
+            continue
+    return found[:most]
+
+
+def _mixtures(bases: list[ShapeSignature], count: int, random: np.random.Generator) -> list[ShapeSignature]:
+    features = np.stack([base.feature for base in bases])
+    roots = np.copysign(np.sqrt(np.abs(features)), features)
+    one, other = random.integers(len(bases), size=(2, count))
+    share = _SHARE * random.random((count, 1), dtype=np.float32)
+    mixed = (1 - share) * roots[one] + share * roots[other]
+    mixed += _NOISE * roots.std(axis=0) * random.standard_normal(mixed.shape, dtype=np.float32)
+    values = mixed * np.abs(mixed)
+    values /= np.abs(values).sum(axis=1, keepdims=True)
+    return [
+        ShapeSignature(value, bases[k].coefficients, bases[k].centroid, bases[k].rms_radius, bases[k].axes)
+        for value, k in zip(values, one, strict=True)
+    ]
+
+
+def _loss(bases: list[ShapeSignature]) -> float:
+    features = np.stack([base.feature for base in bases])
+    stored = decoded(*encoded(features))
+    pairs = np.triu_indices(len(bases), 1)
+    before, after = (descriptor_distances(rows, rows, _OPTION)[pairs] for rows in (features, stored))
+    different = before > 0  # the library holds copies
+    return float(np.median(np.abs(after[different] / before[different] - 1)))

@@ -1,0 +1,187 @@
+"""``fsh3d align``: the source in the place, direction and size of the target."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
+from fsh3d_o3d.adapters.reading import read_geometry_arrays
+from fsh3d_o3d.adapters.writing import (
+    WRITABLE_CLOUD_FORMATS,
+    WRITABLE_MESH_FORMATS,
+    atomic_write_bytes,
+    write_geometry,
+)
+from fsh3d_o3d.cli._console import Progress, print_json
+from fsh3d_o3d.registration import (
+    SphericalRegistrationOption,
+    SphericalRegistrationResult,
+    registration_spherical,
+)
+
+_WHOLE = 0.9  # of the source near the target; less is another shape, or a part
+
+
+def add_parser(commands: Any) -> None:
+    """Add the sub-command."""
+    parser = commands.add_parser(
+        "align",
+        help="turn, move and scale a mesh or point cloud onto another, from any position",
+        description="Turn, move and scale the source onto the target, wherever both lie, and write it there. Meant for "
+        "shapes seen whole; the confidence tells how far to trust the answer.",
+    )
+    parser.add_argument("source", help="mesh or point cloud that moves")
+    parser.add_argument("target", help="mesh or point cloud that stays")
+    parser.add_argument("-o", "--output", required=True, metavar="OUT", help="file for the aligned source")
+    parser.add_argument(
+        "--scale",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="also scale the source (default); --no-scale where both are in the same units",
+    )
+    parser.add_argument(
+        "--polish",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="bring the surfaces closer by their closest points in the end (default)",
+    )
+    parser.add_argument("--reflections", action="store_true", help="also try the source mirrored")
+    parser.add_argument("--transformation", metavar="T.txt", help="also write the 4 × 4 matrix from source to target")
+    parser.add_argument("--picture", metavar="FILE.png", help="also write a picture: target, source before and after")
+    parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Carry out the command."""
+    option = SphericalRegistrationOption(
+        with_scaling=options.scale, polish=options.polish, reflections=options.reflections
+    )
+    targets = _checked_targets(options)
+    with Progress(4, not options.quiet) as progress:
+        progress.step("reading")
+        source, target = read_geometry_arrays(options.source), read_geometry_arrays(options.target)
+        _check_format(options.output, source)
+        progress.step("aligning")
+        result = registration_spherical(source, target, option)
+        aligned = transformed(source, result.transformation)
+        progress.step("drawing")
+        picture = _picture(source, target, aligned) if options.picture else b""
+        progress.step("writing")
+        write_geometry(options.output, aligned)
+        if options.transformation:
+            atomic_write_bytes(options.transformation, _matrix_text(result.transformation))
+        if options.picture:
+            atomic_write_bytes(options.picture, picture)
+    if options.json:
+        print_json(_figures(result))
+    else:
+        print(_summary(options, result, targets))
+    return 0
+
+
+def transformed(geometry: MeshArrays | PointArrays, transformation: Float64Array) -> MeshArrays | PointArrays:
+    """Return a geometry under a similarity (4, 4); normals turn with it, and a mirrored mesh still faces outward."""
+    linear, shift = transformation[:3, :3], transformation[:3, 3]
+    determinant = float(np.linalg.det(linear))
+    if isinstance(geometry, MeshArrays):
+        triangles = geometry.triangles[:, ::-1] if determinant < 0 else geometry.triangles
+        return MeshArrays(geometry.vertices @ linear.T + shift, triangles)
+    turned = None if geometry.normals is None else geometry.normals @ (linear / np.cbrt(abs(determinant))).T
+    return PointArrays(geometry.points @ linear.T + shift, turned, geometry.colors)
+
+
+def _checked_targets(options: argparse.Namespace) -> list[str]:
+    """What will be written; refused before any work if two are the same file or one cannot be written."""
+    formats = tuple(dict.fromkeys(WRITABLE_MESH_FORMATS + WRITABLE_CLOUD_FORMATS))
+    targets = {
+        "output": (options.output, formats),
+        "--transformation": (options.transformation, (".txt",)),
+        "--picture": (options.picture, (".png",)),
+    }
+    seen = {os.path.realpath(options.target): "the target", os.path.realpath(options.source): "the source"}
+    for name, (target, suffixes) in targets.items():
+        if not target:
+            continue
+        path = Path(target)
+        if path.suffix.lower() not in suffixes:
+            raise ValueError(f"{name} must end in {' or '.join(suffixes)}, got {target!r}")
+        if not path.parent.is_dir():
+            raise ValueError(f"{name}: there is no folder {str(path.parent)!r}")
+        if path.is_dir():
+            raise ValueError(f"{name}: {target!r} is a folder")
+        real = os.path.realpath(target)
+        if real in seen:
+            raise ValueError(f"{name} and {seen[real]} are the same file {target!r}")
+        seen[real] = name
+    return [target for target, _ in targets.values() if target]
+
+
+def _check_format(output: str, source: MeshArrays | PointArrays) -> None:
+    what, formats = ("mesh", WRITABLE_MESH_FORMATS)
+    if isinstance(source, PointArrays):
+        what, formats = ("point cloud", WRITABLE_CLOUD_FORMATS)
+    if Path(output).suffix.lower() not in formats:
+        raise ValueError(f"the source is a {what}: the output must end in {' or '.join(formats)}, got {output!r}")
+
+
+def _figures(result: SphericalRegistrationResult) -> dict[str, Any]:
+    return {
+        "transformation": result.transformation.tolist(),
+        "scale": result.scale,
+        "reflected": result.reflected,
+        "fitness": result.fitness,
+        "inlier_rmse": result.inlier_rmse,
+        "max_correspondence_distance": result.max_correspondence_distance,
+        "correlation": result.correlation,
+        "confidence": result.confidence,
+        "ambiguity": result.ambiguity,
+        "candidates": [
+            {
+                "transformation": other.transformation.tolist(),
+                "correlation": other.correlation,
+                "fitness": other.fitness,
+                "inlier_rmse": other.inlier_rmse,
+            }
+            for other in result.candidates
+        ],
+    }
+
+
+def _summary(options: argparse.Namespace, result: SphericalRegistrationResult, targets: list[str]) -> str:
+    doubt = ""
+    if result.fitness < _WHOLE:
+        doubt = ": the shapes differ, or overlap in part only"
+    elif result.ambiguity != "none":
+        doubt = ": other rotations fit about as well"
+    mirrored = ", mirrored" if result.reflected else ""
+    return "\n".join(
+        [
+            f"{options.source} onto {options.target}: confidence {result.confidence:.2f}{doubt}",
+            f"  scale {result.scale:.6g}{mirrored}, {100 * result.fitness:.3g} % of the source within "
+            f"{result.max_correspondence_distance:.3g} of the target, RMSE of those {result.inlier_rmse:.3g}",
+            *(f"  wrote {target}" for target in targets),
+        ]
+    )
+
+
+def _matrix_text(transformation: Float64Array) -> bytes:
+    """Four rows of four numbers, which read back to the last bit."""
+    return "".join(" ".join(format(value, ".17g") for value in row) + "\n" for row in transformation).encode("ascii")
+
+
+def _picture(
+    source: MeshArrays | PointArrays, target: MeshArrays | PointArrays, aligned: MeshArrays | PointArrays
+) -> bytes:
+    # Imported here: drawing takes time to load that other runs need not spend.
+    from fsh3d_o3d.report.alignment import alignment_picture
+    from fsh3d_o3d.report.thumbnail import encode_png
+
+    return encode_png(alignment_picture(source, target, aligned))

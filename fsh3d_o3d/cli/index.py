@@ -1,0 +1,79 @@
+"""``fsh3d index``: a folder of meshes and point clouds into an index that ``fsh3d query`` searches."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from typing import Any
+
+from fsh3d_o3d.cli._console import print_json
+from fsh3d_o3d.cli._names import printable
+from fsh3d_o3d.cli.describe import SHD_OPTIONS
+from fsh3d_o3d.retrieval.library_files import library_files
+from fsh3d_o3d.retrieval.shape_index import ShapeIndex
+
+
+def add_parser(commands: Any) -> None:
+    """Add the sub-command."""
+    parser = commands.add_parser(
+        "index",
+        help="index a folder of meshes and point clouds for searching",
+        description="Describe all meshes and point clouds below a folder and keep what is needed to find them again. "
+        "May be stopped at any moment and run again: what is indexed already and has not changed is skipped.",
+    )
+    parser.add_argument("library", metavar="LIBRARY", help="folder of files; links in it are not followed")
+    parser.add_argument("index", metavar="INDEX", help="folder of the index; made where there is none")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: all this process may use)")
+    parser.add_argument("--engine", choices=("local", "ray"), default="local", help="where files are described (local)")
+    parser.add_argument("--address", metavar="A", help="Ray cluster (default: one started on this machine)")
+    parser.add_argument("--timeout", type=float, default=300.0, metavar="S", help="seconds a file may take (300)")
+    parser.add_argument("--prune", action="store_true", help="remove models whose files are gone from LIBRARY")
+    parser.add_argument("--retry-failed", action="store_true", help="try again what failed before")
+    parser.add_argument("--option", choices=tuple(SHD_OPTIONS), help="descriptor of a new index (default: best)")
+    parser.add_argument("--no-thumbnails", action="store_true", help="draw no pictures")
+    parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Index what is new: 0 if nothing failed, 1 if something did."""
+    start = time.perf_counter()
+    files = list(library_files(options.library, leave_out=options.index))
+    option = None if options.option is None else SHD_OPTIONS[options.option]()
+    index = ShapeIndex.open(options.index, create=True, option=option)
+    removed = index.prune(options.library) if options.prune else 0
+    update = index.add_files(
+        files,
+        options.workers,
+        timeout=options.timeout,
+        retry_failed=options.retry_failed,
+        thumbnail=None if options.no_thumbnails else _thumbnail(),
+        progress=not options.quiet,
+        engine=options.engine,
+        address=options.address,
+    )
+    for failed in update.failed:
+        print(f"fsh3d: failed: {printable(failed.path)}: {failed.reason}", file=sys.stderr)
+    seconds = time.perf_counter() - start
+    figures = {
+        "models": len(index),
+        "added": update.added,
+        "moved": update.moved,
+        "unchanged": update.unchanged,
+        "removed": removed,
+    }
+    if options.json:
+        failures = [{"path": failed.path, "reason": failed.reason} for failed in update.failed]
+        print_json({"index": options.index, **figures, "failed": failures, "seconds": seconds})
+    else:
+        rest = ", ".join(f"{count} {name}" for name, count in list(figures.items())[1:])
+        print(f"{printable(options.index)}: {len(index)} models ({rest}, {len(update.failed)} failed), {seconds:.1f} s")
+    return 1 if update.failed else 0
+
+
+def _thumbnail() -> Any:
+    from fsh3d_o3d.report.library_thumbnail import library_thumbnail  # Pillow is not needed otherwise
+
+    return library_thumbnail

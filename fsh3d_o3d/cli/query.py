@@ -1,0 +1,138 @@
+"""``fsh3d query``: the models of an index that are most like a file."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
+from fsh3d_o3d.adapters.reading import read_geometry_arrays
+from fsh3d_o3d.cli._console import error_line, print_json
+from fsh3d_o3d.cli._names import printable
+from fsh3d_o3d.retrieval.library_files import library_files
+from fsh3d_o3d.retrieval.shape_index import Hit, ShapeIndex
+
+_Found = list[tuple[str, MeshArrays | PointArrays, tuple[Hit, ...]]]
+
+
+def add_parser(commands: Any) -> None:
+    """Add the sub-command."""
+    parser = commands.add_parser(
+        "query",
+        help="find the models of an index that are most like a file",
+        description="Find the models of an index that are most like a mesh or a point cloud, whatever their pose, size "
+        "and triangulation, or the models that are almost the same as others of the index.",
+    )
+    parser.add_argument("index", metavar="INDEX", help="made by fsh3d index")
+    parser.add_argument("input", metavar="FILE_OR_FOLDER", nargs="?", help="what to look for; a folder: all its files")
+    parser.add_argument("--top", type=int, default=10, metavar="K", help="how many to show (10)")
+    parser.add_argument(
+        "--rerank",
+        type=int,
+        default=100,
+        metavar="K",
+        help="align this many candidates and rank them anew (100; 0: none)",
+    )
+    parser.add_argument(
+        "--near-duplicates", action="store_true", help="compare the models of the index with each other"
+    )
+    parser.add_argument(
+        "--limit", type=float, default=0.05, metavar="D", help="distance of near duplicates at most (0.05)"
+    )
+    parser.add_argument("--report", metavar="PAGE.html", help="write a page with pictures and 3D")
+    parser.add_argument("--json", action="store_true", help="print one JSON object a query")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Search and print: 0 if all was answered, 1 if some files of a folder could not be read."""
+    if options.near_duplicates == (options.input is not None):
+        raise ValueError("give either a file or folder to look for, or --near-duplicates")
+    _check_report(options)
+    index = ShapeIndex.open(options.index)
+    if options.near_duplicates:
+        return _near_duplicates(index, options)
+    files, single = _inputs(options)
+    found: _Found = []
+    failed = 0
+    for path in files:
+        try:
+            geometry = read_geometry_arrays(path)
+            hits = index.query(geometry, top=options.top, rerank=options.rerank)
+        except (ValueError, OSError, MemoryError) as error:
+            if single:
+                raise
+            failed += 1
+            print(f"fsh3d: failed: {printable(path)}: {printable(error_line(error))}", file=sys.stderr)
+            continue
+        _print(path, hits, options)
+        if options.report:
+            found.append((path, geometry, hits))
+    if options.report and found:
+        _write_report(options.report, found)
+    return 0 if not failed else 1 if failed < len(files) else 2
+
+
+def _inputs(options: argparse.Namespace) -> tuple[Sequence[str], bool]:
+    if not Path(options.input).is_dir():
+        return [options.input], True
+    files = list(library_files(options.input, leave_out=options.index))
+    if not files:
+        raise ValueError(f"{options.input}: no meshes or point clouds in this folder")
+    return files, False
+
+
+def _print(path: str, hits: Sequence[Hit], options: argparse.Namespace) -> None:
+    if options.json:
+        answers = [
+            {
+                "path": hit.path,
+                "distance": hit.distance,
+                "rank": hit.rank,
+                "feature_distance": hit.feature_distance,
+                "rotation": hit.rotation.tolist(),
+                "transformation": hit.transformation.tolist(),
+            }
+            for hit in hits
+        ]
+        print_json({"query": path, "hits": answers})
+        return
+    print(f"{printable(path)}:")
+    for hit in hits:
+        print(f"{hit.rank:>5}  {hit.distance:.4f}  {printable(hit.path)}")
+
+
+def _near_duplicates(index: ShapeIndex, options: argparse.Namespace) -> int:
+    pairs = index.near_duplicates(options.limit)
+    if options.json:
+        found = [{"first": pair.first, "second": pair.second, "distance": pair.distance} for pair in pairs]
+        print_json({"models": len(index), "limit": options.limit, "pairs": found})
+        return 0
+    for pair in pairs:
+        print(f"{pair.distance:.4f}  {printable(pair.first)}  {printable(pair.second)}")
+    print(f"{len(pairs)} pairs within {options.limit:g} among {len(index)} models", file=sys.stderr)
+    return 0
+
+
+def _check_report(options: argparse.Namespace) -> None:
+    """Refuse before the work a page that cannot be written."""
+    if not options.report:
+        return
+    if options.near_duplicates:
+        raise ValueError("--report shows the results of a query, not --near-duplicates")
+    target = Path(options.report)
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"--report must end in .html or .htm, got {options.report!r}")
+    if not target.parent.is_dir():
+        raise ValueError(f"--report: there is no folder {str(target.parent)!r}")
+
+
+def _write_report(target: str, found: _Found) -> None:
+    from fsh3d_o3d.report.search_page import SearchResult, write_search_page  # Pillow, not needed otherwise
+
+    results = [SearchResult(os.path.basename(path), geometry, hits) for path, geometry, hits in found]  # noqa: PTH119
+    write_search_page(target, results)

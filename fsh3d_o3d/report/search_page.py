@@ -1,0 +1,211 @@
+"""One HTML file that shows what a query of a library found; works offline."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._version import __version__
+from fsh3d_o3d.adapters._rays import Frame
+from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
+from fsh3d_o3d.adapters.reading import read_geometry_arrays
+from fsh3d_o3d.adapters.writing import atomic_write_bytes
+from fsh3d_o3d.errors import GeometryError
+from fsh3d_o3d.report._colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, css_color
+from fsh3d_o3d.report._display import Displayed, displayed, geometry_json
+from fsh3d_o3d.report._html import asset, code_block, data_block, escaped, png_source
+from fsh3d_o3d.report._view import DEFAULT_DIRECTION, positions
+from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail
+from fsh3d_o3d.retrieval.shape_index import Hit
+
+__all__ = ["SearchResult", "write_search_page"]
+
+_SIDE = 220  # pixels of a picture
+_MOST = 8_000  # triangles or points of one shape: a page holds dozens
+_FIELD = math.radians(45)  # of view of plotly's camera
+_QUERY, _HIT = css_color(ORIGINAL_COLOR), css_color(RECONSTRUCTION_COLOR)
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """A query and what it found."""
+
+    title: str
+    """The query's name; any text."""
+    geometry: MeshArrays | PointArrays
+    """The query."""
+    hits: Sequence[Hit]
+    """Best first, as ``ShapeIndex.query`` gives them."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Shape:
+    """A hit laid over its query, or only its picture where the file is gone."""
+
+    picture: bytes
+    note: str
+    displayed: Displayed | None
+
+
+def write_search_page(path: str | os.PathLike[str], results: Sequence[SearchResult]) -> None:
+    """Write a page with queries, and under each its hits: turned as the query lies, with bars for their distances.
+
+    A click on a hit lays it over the query in 3D. Files of hits are read anew for that; where one cannot be read, the
+    picture is the one that the index keeps. The page holds everything it needs and asks the network for nothing. A
+    policy in it lets only its own scripts run.
+
+    Args:
+        path: The HTML file; replaced as a whole or not at all.
+        results: One or more.
+
+    Raises:
+        ValueError: No results.
+        OSError: The file cannot be written.
+    """
+    if not results:
+        raise ValueError("a page needs at least one result")
+    sections, data = [], []
+    for number, result in enumerate(results):
+        frame = Frame.around(positions(result.geometry))
+        query = displayed(result.geometry, frame, _MOST)
+        shapes = [_shape(hit, frame) for hit in result.hits]
+        sections.append(_section(number, result, shapes))
+        data.append(_overlays(query, shapes))
+    title = results[0].title if len(results) == 1 else f"{len(results)} queries"
+    body = "\n".join(
+        [
+            f'<header><h1>{escaped(title)}</h1><p class="lead">The most similar shapes of the library</p></header>',
+            '<main><p id="trouble" role="status" hidden></p>',
+            *sections,
+            _viewer(),
+            "</main>",
+            f"<footer>Made by fsh3d_o3d {escaped(__version__)}; plots by plotly.js.</footer>",
+        ]
+    )
+    towards = np.array(DEFAULT_DIRECTION) / np.linalg.norm(DEFAULT_DIRECTION)
+    eye = 1.05 * math.sqrt(3) / 2 / math.sin(_FIELD / 2) * towards
+    page = {"results": data, "eye": dict(zip("xyz", eye.tolist(), strict=True)), "colors": [_QUERY, _HIT]}
+    atomic_write_bytes(path, _document(title, body, page).encode("utf-8"))
+
+
+def moved(geometry: MeshArrays | PointArrays, transformation: Float64Array) -> MeshArrays | PointArrays:
+    """Return a geometry after a similarity (4, 4)."""
+    turn, shift = transformation[:3, :3], transformation[:3, 3]
+    if isinstance(geometry, MeshArrays):
+        return MeshArrays(geometry.vertices @ turn.T + shift, geometry.triangles)
+    normals = None if geometry.normals is None else geometry.normals @ turn.T
+    return PointArrays(geometry.points @ turn.T + shift, normals, geometry.colors)
+
+
+def _shape(hit: Hit, frame: Frame) -> _Shape:
+    try:
+        aligned = moved(read_geometry_arrays(hit.path), hit.transformation)
+        picture = _picture(aligned, RECONSTRUCTION_COLOR)
+        shape = displayed(aligned, frame, _MOST)
+    except (GeometryError, OSError) as error:
+        reason = "not there any more" if isinstance(error, FileNotFoundError) else "cannot be read now"
+        return _Shape(hit.thumbnail, f"The file is {reason}: picture as indexed.", None)
+    return _Shape(picture, "" if shape.shown == shape.total else f"In 3D {shape.note()}.", shape)
+
+
+def _picture(geometry: MeshArrays | PointArrays, color: Any) -> bytes:
+    return encode_png(render_thumbnail(geometry, width=_SIDE, height=_SIDE, color=color, background=None))
+
+
+def _overlays(query: Displayed, shapes: Sequence[_Shape]) -> dict[str, Any]:
+    own = float(np.abs(query.points).max())
+    hits = [
+        None
+        if shape.displayed is None
+        else {
+            "geometry": geometry_json(shape.displayed, None),
+            "reach": max(own, float(np.abs(shape.displayed.points).max())),
+        }
+        for shape in shapes
+    ]
+    return {"query": geometry_json(query, None), "hits": hits}
+
+
+def _section(number: int, result: SearchResult, shapes: Sequence[_Shape]) -> str:
+    longest = max((hit.distance for hit in result.hits), default=0.0) or 1.0
+    cards = "".join(
+        _card(number, hit, shape, hit.distance / longest) for hit, shape in zip(result.hits, shapes, strict=True)
+    )
+    name = escaped(result.title)
+    query = (
+        f'<figure class="card query"><img src="{png_source(_picture(result.geometry, ORIGINAL_COLOR))}" '
+        f'alt="Query {name}"><figcaption><strong>Query</strong> <span class="name">{name}</span></figcaption></figure>'
+    )
+    found = f'<ol class="hits">{cards}</ol>' if cards else "<p>Nothing found: the index is empty.</p>"
+    return f'<section class="result" aria-label="Results for {name}">{query}{found}</section>'
+
+
+def _card(number: int, hit: Hit, shape: _Shape, share: float) -> str:
+    name = escaped(os.path.basename(hit.path))  # noqa: PTH119 - keeps bytes that are not UTF-8
+    kind = f"{hit.triangles:,} triangles, {'closed' if hit.watertight else 'not closed'}"
+    if not hit.triangles:
+        kind = f"{hit.vertices:,} points"
+    picture = (
+        f'<img src="{png_source(shape.picture)}" alt="{name}, turned as the query lies">'
+        if shape.picture
+        else '<span class="blank">no picture</span>'
+    )
+    action = f'data-result="{number}" data-hit="{hit.rank - 1}"'
+    disabled = "" if shape.displayed is not None else " disabled"
+    return (
+        f'<li class="card"><button type="button" {action} title="Lay over the query"{disabled}>{picture}</button>'
+        f'<div class="bar" role="img" aria-label="Distance {hit.distance:.4f}">'
+        f'<span style="width:{100 * share:.1f}%"></span></div>'
+        f'<p class="figures"><strong>{hit.rank}</strong> distance {hit.distance:.4f}</p>'
+        f'<p class="name" title="{escaped(hit.path)}">{name}</p>'
+        f"<p><small>{kind}. {escaped(shape.note)}</small></p></li>"
+    )
+
+
+def _viewer() -> str:
+    return (
+        '<dialog id="viewer" aria-labelledby="viewer-title"><form method="dialog"><h2 id="viewer-title"></h2>'
+        '<button id="viewer-close" type="submit">Close</button></form><div id="viewer-plot"></div>'
+        f'<p><span class="key" style="background:{_QUERY}"></span> query '
+        f'<span class="key" style="background:{_HIT}"></span> hit, aligned. Drag to turn, scroll to zoom.</p></dialog>'
+    )
+
+
+def _document(title: str, body: str, data: Any) -> str:
+    # Imported here: the pages are rare and plotly takes a moment.
+    from plotly.offline import get_plotlyjs
+
+    library, library_source = code_block(get_plotlyjs())
+    page, page_source = code_block(asset("search.js"))
+    # Plotly styles elements and builds functions from text; nothing may come from elsewhere.
+    policy = (
+        f"default-src 'none'; script-src {library_source} {page_source} 'unsafe-eval'; "
+        "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'"
+    )
+    return "\n".join(
+        [
+            "<!DOCTYPE html>",
+            '<html lang="en">',
+            "<head>",
+            '<meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{escaped(title)}</title>",
+            f"<style>\n{asset('page.css')}{asset('search.css')}</style>",
+            "</head>",
+            "<body>",
+            body,
+            data_block("report-data", data),
+            library,
+            page,
+            "</body>",
+            "</html>",
+            "",
+        ]
+    )

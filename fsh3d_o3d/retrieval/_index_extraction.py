@@ -1,0 +1,176 @@
+"""From one file to one row of an index, in whatever process or machine this is called (private)."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import resource
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d.adapters._topology import EdgeTable
+from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
+from fsh3d_o3d.adapters.mesh_measures import weld
+from fsh3d_o3d.adapters.reading import read_geometry_arrays
+from fsh3d_o3d.descriptors import ShapeSignature, SHDOption, compute_signature
+from fsh3d_o3d.errors import GeometryError
+from fsh3d_o3d.retrieval._index_codec import ALIGNED_DEGREES
+
+Geometry = MeshArrays | PointArrays
+Thumbnailer = Callable[[Geometry], bytes]
+"""Makes a PNG of a geometry. Must pickle: it travels to the worker processes."""
+
+_CHUNK = 2**20
+
+
+@dataclass(frozen=True)
+class FileState:
+    """What tells, without reading it, that a file may have changed."""
+
+    size: int
+    """Bytes."""
+    mtime: int
+    """Time of the last change, in nanoseconds."""
+
+    @classmethod
+    def of(cls, path: str) -> FileState:
+        """Return a file's.
+
+        Raises:
+            OSError: There is none.
+        """
+        about = os.stat(path)  # noqa: PTH116 - pathlib has nothing for names that are not UTF-8
+        return cls(about.st_size, about.st_mtime_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class Described:
+    """What was found in a file."""
+
+    state: FileState
+    """The file's, before and after it was read."""
+    content: bytes
+    """SHA-256 of its bytes."""
+    signature: ShapeSignature | None
+    """Its descriptor; None where a file of this content and format is in the index already."""
+    vertices: int = 0
+    """Vertices or points."""
+    triangles: int = 0
+    """Triangles; 0 for a cloud."""
+    watertight: bool = False
+    """Whether every edge belongs to exactly two triangles once equal vertices are one."""
+    thumbnail: bytes = b""
+    """A PNG, or nothing."""
+
+
+@dataclass(frozen=True)
+class DescribeFile:
+    """Reads a file, describes it, draws it: the function that is mapped over a library."""
+
+    option: SHDOption
+    """What is computed."""
+    known: frozenset[bytes] = frozenset()
+    """``identity`` of the files that need not be described again."""
+    thumbnail: Thumbnailer | None = None
+    """Draws the thumbnail; None: there is none."""
+    memory_limit: int = 8 * 2**30
+    """Bytes of address space that one file may take."""
+
+    def __call__(self, path: str) -> Described:
+        """Return what is in the file.
+
+        Raises:
+            OSError, GeometryError, MemoryError: It cannot be read or described, or changed meanwhile.
+        """
+        state = FileState.of(path)
+        if not Path(path).is_file():
+            raise GeometryError("not a regular file")
+        content = content_hash(path)
+        if identity(path, content) in self.known:
+            return Described(state, content, None)
+        with _limited(self.memory_limit):
+            # Not in yet another process: this one is the one that may die.
+            geometry = read_geometry_arrays(path, isolated=False)
+            signature = describe(geometry, self.option)
+            mesh = geometry if isinstance(geometry, MeshArrays) else None
+            described = Described(
+                state=state,
+                content=content,
+                signature=signature,
+                vertices=len(geometry.vertices if isinstance(geometry, MeshArrays) else geometry.points),
+                triangles=0 if mesh is None else len(mesh.triangles),
+                watertight=mesh is not None and _watertight(mesh),
+                thumbnail=b"" if self.thumbnail is None else self.thumbnail(geometry),
+            )
+        if FileState.of(path) != state:
+            raise GeometryError("changed while it was read")
+        return described
+
+
+def describe(geometry: Geometry, option: SHDOption) -> ShapeSignature:
+    """Return the signature that an index keeps of a geometry.
+
+    Raises:
+        GeometryError: It cannot be described.
+    """
+    signature = compute_signature(geometry, option, bandwidth=min(ALIGNED_DEGREES, option.bandwidth))
+    numbers = (signature.feature, signature.coefficients, signature.centroid, np.array(signature.rms_radius))
+    if not all(np.isfinite(values).all() for values in numbers):
+        raise GeometryError("its descriptor is not finite")
+    return signature
+
+
+def content_hash(path: str) -> bytes:
+    """Return the SHA-256 of a file's bytes."""
+    digest = hashlib.sha256()
+    with Path(path).open("rb") as file:
+        while chunk := file.read(_CHUNK):
+            digest.update(chunk)
+    return digest.digest()
+
+
+def identity(path: str, content: bytes) -> bytes:
+    """Return what two files have in common that hold the same geometry: content, and how it is read."""
+    return content + os.fsencode(os.path.splitext(path)[1].lower())  # noqa: PTH122 - keeps bytes that are not UTF-8
+
+
+def frame_numbers(signature: ShapeSignature) -> Float64Array:
+    """Return centroid, RMS radius and principal axes as one vector (13,)."""
+    return np.concatenate((signature.centroid, [signature.rms_radius], signature.axes.ravel()))
+
+
+def similarity(own: NDArray[np.float64], other: NDArray[np.float64], rotation: Float64Array) -> Float64Array:
+    """Return the (4, 4) map of ``other``'s geometry onto ``own``'s; frames (13,), rotation between principal axes."""
+    turn = own[4:].reshape(3, 3).T @ rotation @ other[4:].reshape(3, 3)
+    result = np.eye(4)
+    result[:3, :3] = own[3] / other[3] * turn
+    result[:3, 3] = own[:3] - result[:3, :3] @ other[:3]
+    return result
+
+
+def _watertight(mesh: MeshArrays) -> bool:
+    try:
+        return bool((EdgeTable(weld(mesh).triangles).faces == 2).all())
+    except GeometryError:  # nothing but degenerate triangles
+        return False
+
+
+@contextlib.contextmanager
+def _limited(extra: int) -> Iterator[None]:
+    """A block that may take so many bytes of address space more than there are in use now."""
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123 - a device, not a path
+        limit = int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE") + extra
+    if before[1] != resource.RLIM_INFINITY:
+        limit = min(limit, before[1])
+    resource.setrlimit(resource.RLIMIT_AS, (limit, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)

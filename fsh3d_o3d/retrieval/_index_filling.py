@@ -1,0 +1,173 @@
+"""Files into an index: what is new is described in worker processes and put in by and by (private)."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from typing import Any
+
+from tqdm import tqdm
+
+from fsh3d_o3d.descriptors import SHDOption
+from fsh3d_o3d.retrieval._index_extraction import Described, DescribeFile, FileState, identity
+from fsh3d_o3d.retrieval._index_rows import model_columns, moved_columns
+from fsh3d_o3d.retrieval._index_store import IndexStore
+from fsh3d_o3d.retrieval.extraction import FailedInput
+from fsh3d_o3d.retrieval.worker_pool import Outcome, run_tasks
+
+_ROWS_A_COMMIT = 512
+_SECONDS_A_COMMIT = 5.0  # of work that a kill may cost
+
+
+@dataclass(frozen=True)
+class IndexUpdate:
+    """What became of files that were to be indexed."""
+
+    added: int
+    """Described and put in, or put in anew because the file has changed."""
+    moved: int
+    """Put in without describing them: the same content was there under another name, or with another time."""
+    unchanged: int
+    """In the index already."""
+    failed: tuple[FailedInput, ...]
+    """The others, those among them that failed before and were not tried again; in the order of the files."""
+
+
+@dataclass
+class Filling:
+    """One run over some files: what is known of them, and what waits to be written."""
+
+    store: IndexStore
+    """Where rows go."""
+    option: SHDOption
+    """What files are described by."""
+    _described: list[tuple[str, Described]] = field(default_factory=list)
+    _failed: list[tuple[str, FileState, str]] = field(default_factory=list)
+    _stale: set[str] = field(default_factory=set)
+    _solved: set[str] = field(default_factory=set)
+    _models: dict[str, FileState] = field(default_factory=dict)
+    _failures: dict[str, tuple[FileState, str]] = field(default_factory=dict)
+    _known: frozenset[bytes] = frozenset()
+    _written: float = field(default_factory=time.monotonic)
+
+    def run(
+        self,
+        paths: Sequence[str],
+        describe: DescribeFile,
+        *,
+        workers: int,
+        timeout: float,
+        retry_failed: bool,
+        progress: bool,
+        run_elsewhere: Callable[..., Generator[Outcome[Any], None, None]] | None = None,
+    ) -> IndexUpdate:
+        """Describe what is new or has changed and write it; ``describe.known`` is filled in here.
+
+        ``run_elsewhere`` stands in for ``run_tasks``.
+        """
+        self.store.require_writable()
+        self._load()
+        reasons: dict[str, str] = {}
+        todo: dict[str, FileState] = {}
+        for path in paths:
+            try:
+                state = FileState.of(path)
+            except OSError as error:
+                reasons[path] = error.strerror or str(error)
+                continue
+            if self._models.get(path) == state:
+                if path in self._failures:
+                    self._solved.add(path)
+                continue
+            before = self._failures.get(path)
+            if before is not None and before[0] == state and not retry_failed:
+                reasons[path] = before[1]
+                if path in self._models:
+                    self._stale.add(path)
+                continue
+            todo[path] = state
+        counts = {"added": 0, "moved": 0}
+        function = DescribeFile(self.option, self._known, describe.thumbnail, describe.memory_limit)
+        tasks = list(todo)
+        run = run_elsewhere or run_tasks
+        bar = tqdm(total=len(tasks), unit="model", leave=False, disable=not (progress and sys.stderr.isatty()))
+        # Closed whatever happens here: an interrupt must not leave processes behind.
+        with bar, closing(run(function, tasks, workers=workers, timeout=timeout)) as outcomes:
+            for outcome in outcomes:
+                path = tasks[outcome.index]
+                if outcome.result is None:
+                    reasons[path] = _one_line(outcome.reason or "", path)
+                    self._failed.append((path, todo[path], reasons[path]))
+                else:
+                    counts["moved" if outcome.result.signature is None else "added"] += 1
+                    self._described.append((path, outcome.result))
+                bar.update()
+                self._write_if_due()
+        self._write()
+        return IndexUpdate(
+            **counts,
+            unchanged=len(paths) - len(reasons) - sum(counts.values()),
+            failed=tuple(FailedInput(path, reasons[path]) for path in paths if path in reasons),
+        )
+
+    def _load(self) -> None:
+        self.store.refresh()
+        table = self.store.columns(self.store.models, ["path", "size", "mtime", "identity"]).to_pydict()
+        self._known = frozenset(table["identity"])
+        states = map(FileState, table["size"], table["mtime"])
+        self._models = dict(zip(map(os.fsdecode, table["path"]), states, strict=True))
+        table = self.store.columns(self.store.failures, ["path", "size", "mtime", "reason"]).to_pydict()
+        states = map(FileState, table["size"], table["mtime"])
+        known = zip(states, table["reason"], strict=True)
+        self._failures = dict(zip(map(os.fsdecode, table["path"]), known, strict=True))
+
+    def _write_if_due(self) -> None:
+        waiting = len(self._described) + len(self._failed)
+        if waiting >= _ROWS_A_COMMIT or (waiting and time.monotonic() - self._written > _SECONDS_A_COMMIT):
+            self._write()
+
+    def _write(self) -> None:
+        """Write what waits. A path that a kill leaves in both tables is in the one whose row has the file's state."""
+        store = self.store
+        if self._failed:
+            columns = {
+                "path": [os.fsencode(path) for path, _, _ in self._failed],
+                "size": [state.size for _, state, _ in self._failed],
+                "mtime": [state.mtime for _, state, _ in self._failed],
+                "reason": [reason for _, _, reason in self._failed],
+            }
+            store.put(store.failures, columns)
+            self._stale |= {path for path, _, _ in self._failed if path in self._models}
+        self._write_models()
+        self._solved |= {path for path, _ in self._described if path in self._failures}
+        for table, paths in ((store.models, self._stale), (store.failures, self._solved)):
+            if paths:
+                store.remove(table, sorted(os.fsencode(path) for path in paths))
+        self._described, self._failed, self._stale, self._solved = [], [], set(), set()
+        self._written = time.monotonic()
+
+    def _write_models(self) -> None:
+        new = [(path, found) for path, found in self._described if found.signature is not None]
+        if new:
+            paths, found = zip(*new, strict=True)
+            self.store.put(self.store.models, model_columns(paths, found, self.option))
+        moved = [(path, found) for path, found in self._described if found.signature is None]
+        if moved:
+            paths, found = zip(*moved, strict=True)
+            wanted = [identity(path, one.content) for path, one in moved]
+            rows = self.store.where("identity", sorted(set(wanted)), self.store.models.schema.names)
+            place = {value: index for index, value in enumerate(rows["identity"].to_pylist())}
+            # Pruned by another process meanwhile: the next run describes it.
+            kept = [index for index, value in enumerate(wanted) if value in place]
+            if kept:
+                taken = rows.take([place[wanted[index]] for index in kept])
+                columns = moved_columns(taken, [paths[k] for k in kept], [found[k] for k in kept])
+                self.store.put(self.store.models, columns)
+
+
+def _one_line(reason: str, path: str) -> str:
+    return " ".join(reason.removeprefix(f"{path}: ").split()) or "failed without a message"

@@ -1,0 +1,141 @@
+"""Which rows of an index are nearest to a query: all of them compared, or those an inverted file leads to (private)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+
+from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d.descriptors import SHDOption
+from fsh3d_o3d.retrieval._index_errors import translated
+from fsh3d_o3d.retrieval._index_rows import Signatures, signatures
+from fsh3d_o3d.retrieval._index_store import IndexStore, vectors
+
+EXACT_BELOW = 5_000
+"""Rows below which a query is compared with all of them; see ``docs/library.md``."""
+_ROWS_A_PARTITION = 400
+_PROBES = 24  # partitions that are looked into
+_SPARE = 2  # sketches' candidates for each row that is wanted
+_LEAST_CANDIDATES = 400
+_REINDEX = 0.2  # of the rows, new since the inverted file was made, are too many
+_BLOCK = 512
+_PAIRS_A_BLOCK = 2048
+_SLACK = 1.6  # four standard deviations of a squared sketch distance
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Rows near a query, nearest first."""
+
+    rows: IntArray
+    """(n,) ``_rowid``."""
+    distances: Float64Array
+    """(n,) of the features, in the option's metric."""
+    signatures: Signatures
+    """(n, …)."""
+
+
+class IndexSearch:
+    """Search in one store. Keeps what it has read until the store has another version."""
+
+    def __init__(self, store: IndexStore, option: SHDOption, *, exact_below: int = EXACT_BELOW) -> None:
+        self._store = store
+        self._l1 = option.metric == "l1"
+        self._option = option
+        self._exact_below = exact_below
+        self._all: tuple[int, IntArray, Signatures] | None = None
+        self._seen = -1
+        self._count = 0
+
+    def nearest(self, query: Signatures, count: int) -> Candidates:
+        """Return the ``count`` rows nearest to a query (1, …), or all if there are fewer."""
+        version = self._store.refresh()
+        if version != self._seen:
+            self._seen, self._count = version, self._store.count()
+        if self._count < self._exact_below:
+            rows, found = self._everything(version)
+        else:
+            rows, found = self._near(query, max(_LEAST_CANDIDATES, _SPARE * count))
+        distances = self._distances(query.features[0], found.features)
+        order = np.argsort(distances, kind="stable")[:count]
+        chosen = Signatures(
+            features=found.features[order],
+            sketches=np.empty((0, 0), np.float32),
+            coefficients=found.coefficients[order],
+            frames=found.frames[order],
+        )
+        return Candidates(rows[order], distances[order], chosen)
+
+    def index(self) -> None:
+        """Make the inverted file, or bring it up to date, where the rows are too many to compare all."""
+        from lancedb.index import IvfFlat
+
+        table, count = self._store.models, self._store.count()
+        if count < self._exact_below:
+            return
+        with translated(self._store.path, "indexing it"):
+            if any(index.columns == ["sketch"] for index in table.list_indices()):
+                statistics = table.index_stats("sketch_idx")
+                if statistics is not None and statistics.num_unindexed_rows <= _REINDEX * count:
+                    return
+            partitions = max(1, count // _ROWS_A_PARTITION)
+            config = IvfFlat(distance_type="l2", num_partitions=partitions, max_iterations=20, sample_rate=64)
+            table.create_index("sketch", config=config, replace=True)
+
+    def close_pairs(self, limit: float) -> Iterator[tuple[int, int, float]]:
+        """Yield pairs of ``_rowid`` whose features are at most ``limit`` apart, and how far they are."""
+        self._store.refresh()
+        table = self._store.columns(self._store.models, ["sketch"])
+        rows, sketch = table["_rowid"].to_numpy(), vectors(table["sketch"], np.float32)
+        norm = np.square(sketch).sum(axis=1)
+        # Signed roots of rows this close in L1 are at most that far apart; in L2, all may have to be looked at.
+        bound = np.float32(2 * limit * _SLACK if self._l1 else np.inf)
+        for start in range(0, len(rows), _PAIRS_A_BLOCK):
+            part = slice(start, start + _PAIRS_A_BLOCK)
+            squared = norm[part, None] + norm[None, start:] - 2 * (sketch[part] @ sketch[start:].T)
+            left, right = np.nonzero(np.triu(squared <= bound, k=1))
+            for begin in range(0, len(left), _BLOCK):
+                some = slice(begin, begin + _BLOCK)
+                yield from self._compared(rows[left[some] + start], rows[right[some] + start], limit)
+
+    def _compared(self, left: IntArray, right: IntArray, limit: float) -> Iterator[tuple[int, int, float]]:
+        needed, place = np.unique(np.concatenate((left, right)), return_inverse=True)
+        found = self._read(self._store.rows(needed, ["signature"])).features
+        one, two = found[place[: len(left)]], found[place[len(left) :]]
+        difference = np.abs(one - two)
+        distance = difference.sum(axis=1) if self._l1 else np.linalg.norm(difference, axis=1)
+        for index in np.flatnonzero(distance <= limit):
+            yield int(left[index]), int(right[index]), float(distance[index])
+
+    def _everything(self, version: int) -> tuple[IntArray, Signatures]:
+        if self._all is None or self._all[0] != version:
+            table = self._store.columns(self._store.models, ["signature"])
+            self._all = version, table["_rowid"].to_numpy().astype(np.int64), self._read(table)
+        return self._all[1], self._all[2]
+
+    def _near(self, query: Signatures, count: int) -> tuple[IntArray, Signatures]:
+        probes = max(_PROBES, math.isqrt(self._count // _ROWS_A_PARTITION))
+        with translated(self._store.path, "searching it"):
+            search = self._store.models.search(query.sketches[0], vector_column_name="sketch").distance_type("l2")
+            columns = ["signature", "_distance"]
+            table: Any = search.nprobes(probes).limit(count).select(columns).with_row_id(True).to_arrow()
+        rows = table["_rowid"].to_numpy().astype(np.int64)
+        return rows, self._read(table)
+
+    def _read(self, table: Any) -> Signatures:
+        return signatures(table["signature"], self._option, self._store.path)
+
+    def _distances(self, query: NDArray[np.float32], others: NDArray[np.float32]) -> Float64Array:
+        if not self._l1:
+            return np.asarray(cdist(query[None], others, "euclidean")[0])
+        result = np.empty(len(others))
+        for start in range(0, len(others), _BLOCK):  # a block and its differences fit the cache
+            part = slice(start, start + _BLOCK)
+            result[part] = np.abs(others[part] - query).sum(axis=1)
+        return result

@@ -1,0 +1,218 @@
+"""The tables of an index on disk: two of Lance, ``models`` and ``failures``, one row a file (private).
+
+Lance writes each change as new files and a manifest that is put in place last, so that an index is at every moment in
+the state before or after a change. ``path`` is its unenforced primary key: with it, and only with it, two writers that
+insert the same path at the same moment notice, and one of them tries again.
+"""
+
+from __future__ import annotations
+
+import errno
+import functools
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsh3d_o3d.descriptors import SHDOption
+from fsh3d_o3d.retrieval._index_codec import SKETCH_LENGTH, signature_type
+from fsh3d_o3d.retrieval._index_errors import ShapeIndexError, translated
+
+FORMAT = 1
+"""Version of the tables; raised whenever older code would misread them."""
+_KEY = {"lance-schema:unenforced-primary-key": "true"}
+_ATTEMPTS = 20  # to write while others do
+_PATHS_A_QUERY = 500
+_SMALL_FRAGMENTS = 48  # that are put together; fewer do no harm
+
+
+class IndexStore:
+    """The tables of one index, opened. What it returns are Arrow tables and NumPy arrays."""
+
+    def __init__(self, path: str, models: Any, failures: Any) -> None:
+        self.path = path
+        """Where it is."""
+        self.models = models
+        """Lance's table of what was described."""
+        self.failures = failures
+        """Lance's table of what was not."""
+        self.metadata = {key.decode(): value.decode() for key, value in (models.schema.metadata or {}).items()}
+        """What the tables were made with: ``format``, ``option``, each after ``fsh3d.``."""
+
+    @classmethod
+    def open(cls, path: str, option: SHDOption | None) -> IndexStore:
+        """Open an index; with an option, make it first where there is none.
+
+        Raises:
+            FileNotFoundError: There is none, and no option.
+            ShapeIndexError: The folder holds something else, a damaged index, or one of a newer version.
+            OSError: It cannot be made.
+        """
+        there = Path(path, "models.lance").exists()
+        if not there and option is None:
+            if Path(path).is_dir():
+                raise ShapeIndexError(f"{path}: this folder is no index")
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)
+        if not there and (Path(path).is_file() or (Path(path).is_dir() and not _empty(path))):
+            raise ShapeIndexError(f"{path}: there is something else here, and no index is made over it")
+        with translated(path, "opening it"):
+            database = _lancedb().connect(path)
+            if not there and option is not None:
+                # Failures first: where there are models, there is all.
+                for name, schema in (("failures", _failure_schema()), ("models", _model_schema(option))):
+                    database.create_table(name, schema=schema, exist_ok=True)
+            models = database.open_table("models")
+            store_format = (models.schema.metadata or {}).get(b"fsh3d.format", b"").decode()
+            if store_format.isdigit() and int(store_format) > FORMAT:
+                raise ShapeIndexError(
+                    f"{path}: the index has format {store_format}, made by a newer version of fsh3d_o3d; "
+                    f"this one reads up to {FORMAT}"
+                )
+            if store_format != str(FORMAT):
+                raise ShapeIndexError(f"{path}: this folder is no index of fsh3d_o3d")
+            return cls(path, models, database.open_table("failures"))
+
+    def refresh(self) -> int:
+        """See what others have written meanwhile; returns the version of the models."""
+        with translated(self.path, "reading it"):
+            self.models.checkout_latest()
+            self.failures.checkout_latest()
+            return int(self.models.version)
+
+    def require_writable(self) -> None:
+        """Find out before the work whether rows can be written after it.
+
+        Raises:
+            PermissionError: They cannot.
+        """
+        for name in ("models", "failures"):
+            folder = os.path.join(self.path, f"{name}.lance", "_versions")  # noqa: PTH118 - keeps bytes that are not UTF-8
+            if not os.access(folder, os.W_OK, effective_ids=True):
+                raise PermissionError(errno.EACCES, "the index is read-only", self.path)
+
+    def count(self) -> int:
+        """Return the number of models."""
+        with translated(self.path, "reading it"):
+            return int(self.models.count_rows())
+
+    def columns(self, table: Any, names: Sequence[str]) -> Any:
+        """Return some columns of all rows, and ``_rowid``, as an Arrow table."""
+        with translated(self.path, "reading it"):
+            return table.search().select(list(names)).with_row_id(True).limit(table.count_rows() or 1).to_arrow()
+
+    def rows(self, identifiers: Iterable[int], names: Sequence[str]) -> Any:
+        """Return the rows of these ``_rowid``, in their order, as an Arrow table."""
+        wanted = np.fromiter(identifiers, dtype=np.int64)
+        with translated(self.path, "reading it"):
+            found = self.models.take_row_ids(wanted.tolist()).select(list(names)).with_row_id().to_arrow()
+        place = {row: index for index, row in enumerate(found["_rowid"].to_pylist())}
+        return found.take([place[row] for row in wanted.tolist()])
+
+    def where(self, column: str, values: Sequence[bytes], names: Sequence[str]) -> Any:
+        """Return the models whose column holds one of these values, as an Arrow table."""
+        condition = _is_one_of(column, values)
+        with translated(self.path, "reading it"):
+            return self.models.search().where(condition).select(list(names)).limit(self.models.count_rows()).to_arrow()
+
+    def put(self, table: Any, columns: Mapping[str, Any]) -> None:
+        """Insert rows, or replace those of the same paths, in one commit."""
+        import pyarrow as pa
+
+        schema = table.schema
+        data = pa.table({field.name: pa.array(columns[field.name], field.type) for field in schema}, schema=schema)
+        merge = table.merge_insert("path").when_matched_update_all().when_not_matched_insert_all()
+        with translated(self.path, "writing to it"):
+            _retried(table, lambda: merge.execute(data))
+
+    def remove(self, table: Any, paths: Sequence[bytes]) -> None:
+        """Delete the rows of these paths."""
+        for start in range(0, len(paths), _PATHS_A_QUERY):
+            condition = _is_one_of("path", paths[start : start + _PATHS_A_QUERY])
+            with translated(self.path, "writing to it"):
+                _retried(table, functools.partial(table.delete, condition))
+
+    def tidy(self) -> None:
+        """Put small fragments together and forget old versions, where that is worth it."""
+        from datetime import timedelta
+
+        for table in (self.models, self.failures):
+            with translated(self.path, "compacting it"):
+                table.checkout_latest()
+                if table.stats()["fragment_stats"]["num_small_fragments"] > _SMALL_FRAGMENTS:
+                    _retried(table, functools.partial(table.optimize, cleanup_older_than=timedelta(hours=1)))
+
+
+def vectors(column: Any, dtype: Any) -> NDArray[Any]:
+    """Return a column of fixed-size lists (n, k), of an Arrow table, as an array."""
+    length = column.type.list_size
+    parts = [chunk.flatten().to_numpy().reshape(-1, length) for chunk in column.chunks]
+    return np.concatenate([np.empty((0, length), dtype=dtype), *parts], dtype=dtype, casting="unsafe")
+
+
+def fixed_lists(rows: NDArray[Any]) -> Any:
+    """Return an array (n, k) as a fixed-size list column."""
+    import pyarrow as pa
+
+    return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(rows).ravel()), rows.shape[1])
+
+
+def _retried(table: Any, call: Any) -> None:
+    """Call; again where another writer was faster and Lance says so."""
+    for attempt in range(_ATTEMPTS):
+        try:
+            call()
+            return
+        except (RuntimeError, ValueError, OSError) as error:  # noqa: PERF203 - the loop is of attempts
+            if "conflict" not in str(error).lower() or attempt == _ATTEMPTS - 1:
+                raise
+            table.checkout_latest()
+
+
+def _empty(path: str) -> bool:
+    """Whether a folder holds nothing, or no more than an index whose making was interrupted."""
+    return set(os.listdir(path)) <= {"failures.lance"}  # noqa: PTH208 - names only
+
+
+def _is_one_of(column: str, values: Sequence[bytes]) -> str:
+    return f"{column} IN ({', '.join(f'X{value.hex()!r}' for value in values)})"
+
+
+def _lancedb() -> Any:
+    import lancedb  # takes a second or more
+
+    return lancedb
+
+
+def _model_schema(option: SHDOption) -> Any:
+    import pyarrow as pa
+
+    fields = [
+        pa.field("path", pa.binary(), nullable=False, metadata=_KEY),  # the file's, absolute, whatever its bytes
+        pa.field("content", pa.binary(32)),  # SHA-256
+        pa.field("identity", pa.binary()),  # content, and how it is read
+        pa.field("size", pa.int64()),
+        pa.field("mtime", pa.int64()),  # nanoseconds
+        pa.field("vertices", pa.int64()),
+        pa.field("triangles", pa.int64()),  # 0: a cloud
+        pa.field("watertight", pa.bool_()),
+        pa.field("option", pa.string()),  # fingerprint
+        pa.field("signature", pa.binary(signature_type(option).itemsize)),
+        pa.field("sketch", pa.list_(pa.float16(), SKETCH_LENGTH)),
+        pa.field("thumbnail", pa.binary()),  # PNG
+    ]
+    return pa.schema(fields, metadata={"fsh3d.format": str(FORMAT), "fsh3d.option": option.fingerprint})
+
+
+def _failure_schema() -> Any:
+    import pyarrow as pa
+
+    fields = [
+        pa.field("path", pa.binary(), nullable=False, metadata=_KEY),
+        pa.field("size", pa.int64()),
+        pa.field("mtime", pa.int64()),
+        pa.field("reason", pa.string()),
+    ]
+    return pa.schema(fields)

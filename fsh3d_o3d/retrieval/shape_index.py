@@ -1,0 +1,295 @@
+"""A library of shapes on disk that answers which of them are most like another."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from fsh3d_o3d import _validation as check
+from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d.adapters.geometry import geometry_arrays
+from fsh3d_o3d.adapters.reading import read_geometry_arrays
+from fsh3d_o3d.descriptors import SHDOption
+from fsh3d_o3d.retrieval._index_errors import ShapeIndexError
+from fsh3d_o3d.retrieval._index_extraction import DescribeFile, Thumbnailer, describe, similarity
+from fsh3d_o3d.retrieval._index_filling import Filling, IndexUpdate
+from fsh3d_o3d.retrieval._index_rows import Signatures
+from fsh3d_o3d.retrieval._index_search import Candidates, IndexSearch
+from fsh3d_o3d.retrieval._index_store import IndexStore
+from fsh3d_o3d.retrieval._ray_tasks import run_tasks_on_ray
+from fsh3d_o3d.retrieval.extraction import FailedInput
+from fsh3d_o3d.retrieval.reranking import aligned_distances, mixed_distances
+
+__all__ = ["Hit", "IndexUpdate", "NearDuplicate", "ShapeIndex", "ShapeIndexError"]
+
+Engine = Literal["local", "ray"]
+
+_PRESETS: tuple[Callable[[], SHDOption], ...] = (SHDOption.best, SHDOption.published, SHDOption)
+_HIT_COLUMNS = ("path", "vertices", "triangles", "watertight", "thumbnail")
+
+
+@dataclass(frozen=True, eq=False)
+class Hit:
+    """One model that a query found. Arrays are read-only."""
+
+    path: str
+    """The file, absolute, as it was when it was indexed."""
+    distance: float
+    """How unlike the query it is, in [0, 2]: of the features, and where re-ranked mixed with the aligned distance."""
+    rank: int
+    """1 for the most similar."""
+    rotation: Float64Array
+    """(3, 3): turns the model as the query lies."""
+    transformation: Float64Array
+    """(4, 4): moves, turns and scales the model onto the query, centroid on centroid and RMS radius to RMS radius."""
+    feature_distance: float
+    """Of the rotation-invariant features alone."""
+    vertices: int
+    """Vertices of the mesh, or points of the cloud."""
+    triangles: int
+    """Triangles; 0 for a cloud."""
+    watertight: bool
+    """Whether every edge belongs to exactly two triangles once equal vertices are one."""
+    thumbnail: bytes
+    """A PNG as drawn when it was indexed; empty if none was."""
+
+
+@dataclass(frozen=True)
+class NearDuplicate:
+    """Two models of an index that are almost the same shape, whatever their pose, size and triangulation."""
+
+    first: str
+    """A file."""
+    second: str
+    """The other."""
+    distance: float
+    """Of their features."""
+
+
+class ShapeIndex:
+    """A folder that holds what is needed to find shapes again: no server, no pickle, safe to kill while it is written.
+
+    Any number of processes may read and write it at once. Made by ``ShapeIndex.open``.
+    """
+
+    def __init__(self, store: IndexStore, option: SHDOption) -> None:
+        self._store = store
+        self._search = IndexSearch(store, option)
+        self._option = option
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str], create: bool = False, *, option: SHDOption | None = None) -> ShapeIndex:
+        """Open an index.
+
+        Args:
+            path: Its folder.
+            create: Make it where there is none.
+            option: What its models are described by. None: what the index was made with, ``SHDOption.best()`` for a
+                new one.
+
+        Raises:
+            FileNotFoundError: There is none.
+            ShapeIndexError: The folder holds something else, a damaged index, one made by a newer version, or one made
+                with another option.
+            OSError: It cannot be read, or not made.
+        """
+        name = os.path.abspath(os.fsdecode(path))  # noqa: PTH100 - keeps bytes that are not UTF-8
+        if option is not None and not isinstance(option, SHDOption):
+            raise TypeError(f"option must be an SHDOption, got {type(option).__name__}")
+        store = IndexStore.open(name, (option or SHDOption.best()) if create else None)
+        made_with = store.metadata.get("fsh3d.option", "")
+        known = [option] if option is not None else [preset() for preset in _PRESETS]
+        for candidate in known:
+            if candidate.fingerprint == made_with:
+                return cls(store, candidate)
+        which = "the option given" if option is not None else "any option that has a name: open it with the same option"
+        raise ShapeIndexError(f"{name}: the index was not made with {which}")
+
+    @property
+    def path(self) -> str:
+        """The folder, absolute."""
+        return self._store.path
+
+    @property
+    def option(self) -> SHDOption:
+        """What its models are described by."""
+        return self._option
+
+    def __len__(self) -> int:
+        self._store.refresh()
+        return self._store.count()
+
+    def add_files(
+        self,
+        paths: Iterable[str | os.PathLike[str]],
+        workers: int | None = 2,
+        *,
+        timeout: float = 300.0,
+        retry_failed: bool = False,
+        thumbnail: Thumbnailer | None = None,
+        memory_limit: int = 8 * 2**30,
+        progress: bool = False,
+        engine: Engine = "local",
+        address: str | None = None,
+    ) -> IndexUpdate:
+        """Put files in, or put them in anew where they have changed.
+
+        A file of known size and time of change is not read; one of known content is not described again. Each of the
+        others is read and described in a worker process, at its own risk: what kills the process, takes too long or
+        changes meanwhile is listed, kept in mind, and not tried again until it changes. Rows are written every few
+        seconds, so a kill costs no more than that. As always with processes, a script that calls this does so below
+        ``if __name__ == "__main__":``.
+
+        Args:
+            paths: Meshes and point clouds in any format that is read.
+            workers: Processes with one thread each; None: one for each core that this process may use.
+            timeout: Seconds that one file may take.
+            retry_failed: Try again what failed before.
+            thumbnail: Draws a picture of each, as ``fsh3d_o3d.report.library_thumbnail`` does; None: none.
+            memory_limit: Bytes that one file may take.
+            progress: Show a bar on standard error if that is a terminal.
+            engine: ``"local"``: on this machine. ``"ray"``: on a Ray cluster, every machine of which sees the files
+                under the same paths and has this package; rows come back here and are written here, the same as with
+                the local engine. Needs the extra ``ray``.
+            address: Of the Ray cluster, as ``ray.init`` takes it; None: one of ``workers`` processors is started on
+                this machine.
+
+        Raises:
+            ModuleNotFoundError: Ray is asked for and not installed.
+            ConnectionError: There is no Ray at the address.
+            OSError: The index cannot be written: read-only, or the disk is full. It then is as after the last write.
+            RuntimeError: The worker processes do not start, or Ray lost a part of the work.
+        """
+        if engine not in get_args(Engine):
+            raise ValueError(f"engine must be 'local' or 'ray', got {engine!r}")
+        if address is not None and engine != "ray":
+            raise ValueError("address is of a Ray cluster: give engine='ray' with it")
+        cores = len(os.sched_getaffinity(0)) if workers is None else workers
+        number = check.integer(cores, "workers", minimum=1, maximum=1024)
+        limit = check.integer(memory_limit, "memory_limit", minimum=2**20)
+        names = list(dict.fromkeys(os.path.abspath(os.fsdecode(path)) for path in paths))  # noqa: PTH100 - as above
+        update = Filling(self._store, self._option).run(
+            names,
+            DescribeFile(self._option, thumbnail=thumbnail, memory_limit=limit),
+            workers=number,
+            timeout=check.number(timeout, "timeout", minimum=0, exclusive=True),
+            retry_failed=retry_failed,
+            progress=progress,
+            run_elsewhere=functools.partial(run_tasks_on_ray, address=address) if engine == "ray" else None,
+        )
+        if update.added or update.moved:
+            self._store.tidy()
+            self._search.index()
+        return update
+
+    def prune(self, folder: str | os.PathLike[str] | None = None) -> int:
+        """Remove models, and failures, whose files are gone; returns how many models.
+
+        Args:
+            folder: Only those below it. It must be there: a disk that is not mounted is no reason to forget a library.
+
+        Raises:
+            OSError: The folder is not there, or the index cannot be written.
+        """
+        inside = b""
+        if folder is not None:
+            inside = os.path.join(os.path.abspath(os.fsencode(folder)), b"")  # noqa: PTH100, PTH118 - bytes
+            os.scandir(inside).close()
+        self._store.refresh()
+        removed = 0
+        for table in (self._store.models, self._store.failures):
+            paths = self._store.columns(table, ["path"])["path"].to_pylist()
+            gone = [path for path in paths if path.startswith(inside) and not os.path.lexists(path)]
+            if gone:
+                self._store.remove(table, gone)
+            removed += len(gone) if table is self._store.models else 0
+        return removed
+
+    def failures(self) -> tuple[FailedInput, ...]:
+        """Return the files that could not be described, and why."""
+        self._store.refresh()
+        table = self._store.columns(self._store.failures, ["path", "reason"]).to_pydict()
+        pairs = sorted(zip(table["path"], table["reason"], strict=True))
+        return tuple(FailedInput(os.fsdecode(path), reason) for path, reason in pairs)
+
+    def query(self, geometry_or_path: Any, top: int = 10, rerank: int = 100) -> tuple[Hit, ...]:
+        """Return the models most like a shape, best first; the shape itself among them if it is in the index.
+
+        Args:
+            geometry_or_path: Anything ``compute_shd_feature`` takes, or a file.
+            top: At most this many hits.
+            rerank: This many candidates (at least ``top``) are aligned with the query and ranked by a mixture of both
+                distances; 0: hits are ranked by their features, and aligned to tell their rotations.
+
+        Raises:
+            TypeError: Neither a geometry nor a path.
+            GeometryError: It cannot be read or described.
+            ShapeIndexError: The index is damaged.
+        """
+        top = check.integer(top, "top", minimum=1, maximum=10**6)
+        rerank = check.integer(rerank, "rerank", minimum=0, maximum=10**6)
+        if isinstance(geometry_or_path, (str, bytes, os.PathLike)):
+            geometry = read_geometry_arrays(os.fsdecode(geometry_or_path))
+        else:
+            geometry = geometry_arrays(geometry_or_path)[0]
+        query = Signatures.of(describe(geometry, self._option))
+        candidates = self._search.nearest(query, max(top, rerank) if rerank else top)
+        if len(candidates.rows) == 0:
+            return ()
+        aligned, rotations = aligned_distances(query.coefficients[0], candidates.signatures.coefficients)
+        distances = mixed_distances(candidates.distances, aligned) if rerank else candidates.distances
+        order = np.argsort(distances, kind="stable")[:top]
+        return self._hits(query, candidates, distances, rotations, order)
+
+    def near_duplicates(self, limit: float = 0.05) -> tuple[NearDuplicate, ...]:
+        """Return the pairs of models whose features are at most ``limit`` apart, closest first.
+
+        All pairs are compared by their sketches, which takes a minute or so for 10⁵ models, and four times as long for
+        twice as many.
+        """
+        limit = check.number(limit, "limit", minimum=0, maximum=2)
+        pairs = list(self._search.close_pairs(limit))
+        rows = sorted({row for one, other, _ in pairs for row in (one, other)})
+        names = self._store.rows(rows, ["path"])["path"].to_pylist() if rows else []
+        path = {row: os.fsdecode(name) for row, name in zip(rows, names, strict=True)}
+        found = [
+            NearDuplicate(min(path[one], path[other]), max(path[one], path[other]), distance)
+            for one, other, distance in pairs
+        ]
+        return tuple(sorted(found, key=lambda pair: (pair.distance, pair.first, pair.second)))
+
+    def _hits(
+        self,
+        query: Signatures,
+        candidates: Candidates,
+        distances: Float64Array,
+        rotations: Float64Array,
+        order: Any,
+    ) -> tuple[Hit, ...]:
+        table = self._store.rows(candidates.rows[order], _HIT_COLUMNS).to_pydict()
+        hits = []
+        for place, index in enumerate(order):
+            onto = similarity(query.frames[0], candidates.signatures.frames[index], rotations[index])
+            turn = onto[:3, :3] / np.cbrt(np.linalg.det(onto[:3, :3]))
+            for array in (onto, turn):
+                array.setflags(write=False)
+            hits.append(
+                Hit(
+                    path=os.fsdecode(table["path"][place]),
+                    distance=float(distances[index]),
+                    rank=place + 1,
+                    rotation=turn,
+                    transformation=onto,
+                    feature_distance=float(candidates.distances[index]),
+                    vertices=table["vertices"][place],
+                    triangles=table["triangles"][place],
+                    watertight=table["watertight"][place],
+                    thumbnail=table["thumbnail"][place],
+                )
+            )
+        return tuple(hits)

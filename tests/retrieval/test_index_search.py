@@ -1,0 +1,78 @@
+"""Search by the inverted file finds what comparing everything finds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fsh3d_o3d.adapters._surface_frame import surface_of
+from fsh3d_o3d.descriptors import ShapeSignature, compute_signature
+from fsh3d_o3d.retrieval._index_extraction import Described, FileState, similarity
+from fsh3d_o3d.retrieval._index_rows import Signatures, model_columns
+from fsh3d_o3d.retrieval._index_search import IndexSearch
+from fsh3d_o3d.retrieval._index_store import IndexStore
+from tests.retrieval.index_cases import QUICK, blob
+
+
+def variants(count, seed):
+    """Signatures of shapes like a few given ones."""
+    random = np.random.default_rng(seed)
+    bases = [compute_signature(blob(n), QUICK, bandwidth=4) for n in range(8)]
+    for _ in range(count):
+        one, other = (bases[k] for k in random.integers(8, size=2))
+        share = random.random() / 2
+        feature = (1 - share) * one.feature + share * other.feature
+        feature = feature * (1 + 0.1 * random.standard_normal(len(feature)))
+        yield ShapeSignature(
+            feature=(feature / np.abs(feature).sum()).astype(np.float32),
+            coefficients=one.coefficients,
+            centroid=one.centroid,
+            rms_radius=one.rms_radius,
+            axes=one.axes,
+        )
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    found = [Described(FileState(1, 1), bytes(32), signature) for signature in variants(1500, 1)]
+    store = IndexStore.open(str(tmp_path_factory.mktemp("store") / "index"), QUICK)
+    store.put(store.models, model_columns([f"/{n}" for n in range(1500)], found, QUICK))
+    return store
+
+
+def test_inverted_file_finds_the_same(store):
+    exact, inverted = IndexSearch(store, QUICK), IndexSearch(store, QUICK, exact_below=100)
+    queries = [Signatures.of(signature) for signature in variants(20, 2)]
+    expected = [exact.nearest(query, 10) for query in queries]
+    recall = []
+    for indexed in (False, True):
+        if indexed:
+            inverted.index()
+            assert store.models.index_stats("sketch_idx").num_indexed_rows == 1500
+        for query, true in zip(queries, expected, strict=True):
+            found = inverted.nearest(query, 10)
+            recall.append(np.isin(true.rows, found.rows).mean())
+            if recall[-1] == 1:
+                np.testing.assert_array_equal(found.distances, true.distances)
+                np.testing.assert_array_equal(found.signatures.coefficients, true.signatures.coefficients)
+    assert np.mean(recall) >= 0.99
+
+
+def test_index_is_not_made_anew_without_need(store):
+    search = IndexSearch(store, QUICK, exact_below=100)
+    search.index()
+    version = store.refresh()
+    search.index()
+    IndexSearch(store, QUICK).index()  # too few rows to need one
+    assert store.refresh() == version
+
+
+def test_similarity_takes_one_frame_to_another(random_rotation):
+    mesh = blob(3)
+    one = surface_of(mesh, 256)
+    frame = np.concatenate((one.centroid, [one.rms_radius], np.eye(3).ravel()))
+    turned = np.concatenate(([1.0, 2.0, 3.0], [2 * one.rms_radius], random_rotation.ravel()))
+    onto = similarity(turned, frame, np.eye(3))
+    expected = (mesh.vertices - one.centroid) @ random_rotation * 2 + [1.0, 2.0, 3.0]
+    # Rounding of a few products of order one.
+    np.testing.assert_allclose(mesh.vertices @ onto[:3, :3].T + onto[:3, 3], expected, atol=1e-12)
