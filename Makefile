@@ -1,6 +1,6 @@
 # make help lists the targets. Set-up is part of each: nothing has to be installed by hand on Debian or Ubuntu.
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench samples clean
+.PHONY: help demo test lint bench paper docs samples clean
 BIN := .venv/bin
 PYTEST_WORKERS ?= 2
 
@@ -12,7 +12,7 @@ demo:  ## Install what is needed and reconstruct a sample shape
 	@$(BIN)/python pipelines/demo.py --output output/demo
 
 test:  ## Run the tests
-	@bash tools/bootstrap.sh cpu,dev
+	@bash tools/bootstrap.sh cpu,dev,docs
 	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile -q
 
 lint:  ## Check style and types
@@ -24,6 +24,18 @@ lint:  ## Check style and types
 bench:  ## Measure accuracy and speed beside peers (minutes)
 	@bash tools/bootstrap.sh cpu,bench
 	@$(BIN)/python -m benchmarks --output output/bench
+
+paper:  ## Repeat the paper's figures and tables, quickly, in output/paper
+	@bash tools/bootstrap.sh cpu,bench
+	@for script in grids weights unit_sphere round_trip; do $(BIN)/python pipelines/paper/$$script.py || exit; done
+	@$(BIN)/python pipelines/paper/star_shapes.py
+	@$(BIN)/python pipelines/paper/star_shapes.py --clouds
+	@$(BIN)/python pipelines/paper/retrieval.py --cpshd
+
+docs:  ## Build the documentation site in output/site
+	@bash tools/bootstrap.sh cpu,docs
+	@$(BIN)/python -m sphinx -W --keep-going -q -d output/doctrees docs output/site
+	@echo "Open output/site/index.html"
 
 samples:  ## Generate the sample shapes anew
 	@bash tools/bootstrap.sh cpu

@@ -11,7 +11,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from unittest import mock
 
-from benchmarks import features, harmonics, radial, roundtrip, transform, weights
+from benchmarks import (
+    descriptors,
+    features,
+    harmonics,
+    index,
+    radial,
+    registration,
+    rotation,
+    roundtrip,
+    transform,
+    weights,
+)
 from benchmarks._measure import environment
 from benchmarks._table import Table, write_tables
 
@@ -22,6 +33,10 @@ BENCHMARKS = {
     "transform": transform.run,
     "radial": radial.run,
     "features": features.run,
+    "descriptors": descriptors.run,
+    "registration": registration.run,
+    "index": index.run,
+    "rotation": rotation.run,
 }
 
 

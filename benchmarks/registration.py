@@ -70,7 +70,7 @@ def run(*, quick: bool = False) -> Iterator[Table]:
         notes=(
             "success: rotation within 0.5° for the same mesh, 2° for the others.",
             "of whole copies: success where the copy lost at most 5 % of the area; decimation loses loose parts.",
-            "Our settings were chosen on these shapes, the peers' only by voxel size; docs/alignment.md has other shapes.",
+            "Our settings were chosen on these shapes, the peers' only by voxel size; see docs/alignment.md.",
             f"Processor time on one thread. Peers at the true scale, on {_PEER_SHAPES} of the pairs.",
         ),
     )

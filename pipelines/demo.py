@@ -3,7 +3,8 @@
 The job that most users come with first: a file in, a compact description and a clean closed mesh out, with figures that
 say how good it is. Three inputs show the trade-offs: a star-shaped mesh, whose detail is limited by the bandwidth; a
 cloud with noise, outliers and a hole, where the fit has to decide what to believe; and a shape with a handle, which
-takes a field on many shells. Then features that no rotation changes tell which of the samples are the same shape.
+takes a field on many shells. Then features that no rotation changes tell which of the samples are the same shape, one
+is laid onto its copy from an unknown pose, and all go into an index that is asked what is most like it.
 
     python pipelines/demo.py --output output/demo
 """
@@ -17,6 +18,7 @@ import numpy as np
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d.cli import main as fsh3d
+from fsh3d_o3d.report.library_thumbnail import library_thumbnail
 
 SAMPLES = Path(__file__).parents[1] / "samples"
 
@@ -31,6 +33,16 @@ def _compare(features: Path) -> None:
     print("Distances between features (0 same, 2 nothing in common):")
     for name, row in zip(COMPARED, distances, strict=True):
         print(f"  {name:<20}", *(f"{value:5.2f}" for value in row))
+
+
+def _search(folder: Path) -> int:
+    """Index the samples, ask for what is like one of them, and write a page."""
+    library = fsh.ShapeIndex.open(folder / "samples.fsh", create=True)
+    paths = sorted(path for path in SAMPLES.iterdir() if path.suffix in {".ply", ".off", ".obj", ".stl", ".glb"})
+    library.add_files(paths, thumbnail=library_thumbnail)
+    print(f"{len(library)} samples in the index {folder / 'samples.fsh'}; what is most like gem_rotated.stl:")
+    wanted = str(SAMPLES / "gem_rotated.stl")
+    return fsh3d(["query", str(folder / "samples.fsh"), wanted, "--top", "5", "--report", str(folder / "hits.html")])
 
 
 def main() -> int:
@@ -53,7 +65,11 @@ def main() -> int:
     worst = max(worst, fsh3d(["describe", *(str(SAMPLES / name) for name in COMPARED), "-o", str(features)]))
     if worst == 0:
         _compare(features)
-        print(f"Open {folder / 'bennu_like.png'} for a picture, {folder / 'bennu_like.html'} for the page.")
+        turned, upright = str(SAMPLES / "gem_rotated.stl"), str(SAMPLES / "gem.stl")
+        aligned = [str(folder / "gem_aligned.ply"), "--picture", str(folder / "gem_aligned.png")]
+        worst = max(worst, fsh3d(["align", turned, upright, "-o", *aligned]))
+        worst = max(worst, _search(folder))
+        print(f"Open {folder / 'bennu_like.png'} for a picture; {folder / 'bennu_like.html'} and hits.html for pages.")
     return worst
 
 

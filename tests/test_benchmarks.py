@@ -32,6 +32,7 @@ ACCURACY = {
     "mean change, equiangular / Fibonacci",
     "median",
     "max",
+    "success",
 }
 TABLES = {
     "weights": ["weights", "weights_small_grids"],
@@ -40,6 +41,9 @@ TABLES = {
     "transform": ["transform_dgemm", "transform_ducc0", "transform_crossover"],
     "radial": ["radial_meshes", "radial_clouds"],
     "features": ["features_rotation"],
+    "descriptors": ["descriptors"],
+    "registration": ["registration"],
+    "index": ["index"],
     "rotation": ["rotation", "rotation_pair", "rotation_batch"],
 }
 

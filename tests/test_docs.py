@@ -1,0 +1,71 @@
+"""The documentation site builds without warnings, holds every public name, and loads nothing from elsewhere."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import fsh3d_o3d as fsh
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The built site. Pages of the reference are written beside the others, so that it is built from a copy."""
+    root = tmp_path_factory.mktemp("site")
+    shutil.copytree(ROOT / "docs", root / "docs", ignore=shutil.ignore_patterns("reference"))
+    for linked in ("pipelines", "samples", "tools"):
+        (root / linked).symlink_to(ROOT / linked)
+    done = subprocess.run(
+        [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", str(root / "docs"), str(root / "site")],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        cwd=ROOT,
+    )
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr.strip()
+    return root / "site"
+
+
+def test_every_public_name_is_in_the_reference(site):
+    pages = {path.stem: path.read_text(encoding="utf-8") for path in (site / "reference").glob("*.html")}
+    overview = pages.pop("index")
+    assert f"version {fsh.__version__}" in overview
+    documented = [name for page in pages.values() for name in re.findall(r'id="fsh3d_o3d\.(\w+)"', page)]
+    # Each once, and nothing that is not public.
+    assert sorted(documented) == sorted(set(fsh.__all__) - {"__version__"})
+    assert all(f'href="{name}"' in overview for name in (f"{page}.html" for page in pages))
+    assert all(f"#fsh3d_o3d.{name}" in overview for name in documented)
+
+
+def test_docstrings_are_understood(site):
+    page = (site / "reference" / "shapes.html").read_text(encoding="utf-8")
+    assert 'class="sig-name descname"><span class="pre">coefficients' in page  # a field, documented where it stands
+    assert "Parameters" in page and "Raises" in page  # the sections of Google style
+    for path in (site / "reference").glob("*.html"):
+        text = path.read_text(encoding="utf-8")
+        assert "TypeAliasForwardRef" not in text
+        assert "Args:" not in text, f"{path.name}: a section that was not recognised"
+
+
+def test_every_page_can_be_reached(site):
+    start = (site / "index.html").read_text(encoding="utf-8")
+    for page in (ROOT / "docs").glob("*.md"):
+        assert f'href="{page.stem}.html"' in start or page.stem == "index", page
+
+
+def test_nothing_is_loaded_from_elsewhere(site):
+    for path in site.rglob("*.html"):
+        loaded = re.findall(r"<(?:script|link|img|iframe)\b[^>]*?(?:src|href)=\"([^\"]+)\"", path.read_text("utf-8"))
+        assert loaded
+        assert not [address for address in loaded if re.match(r"(?:https?:)?//", address)], path
+    for path in site.rglob("*.css"):
+        assert not re.search(r"url\(\s*[\"']?(?:https?:)?//|@import", path.read_text(encoding="utf-8")), path
