@@ -20,8 +20,9 @@ from fsh3d_o3d.adapters.conformal import ConformalMapOption, conformal_map
 from fsh3d_o3d.adapters.conformal._point_location import locate
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays, geometry_arrays
 from fsh3d_o3d.sphere.coefficients import degree_energies
-from fsh3d_o3d.sphere.grids import SphericalGrid, require_grid
+from fsh3d_o3d.sphere.grids import SphericalGrid
 from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform
+from fsh3d_o3d.sphere.weights import checked_weights
 
 _RECIPE = 1  # raised whenever the same option gives other numbers
 _FRAME_SAMPLES = 256  # of the area; the moments of a mesh are exact without any
@@ -58,16 +59,7 @@ class CPSHDOption:
             raise TypeError(f"map must be a ConformalMapOption, got {type(self.map).__name__}")
         if self.repair is not None:
             check.integer(self.repair, "repair", minimum=8, maximum=1024)
-        if self.grid is not None:
-            require_grid(self.grid)
-        elif self.weights is not None:
-            raise ValueError("weights belong to a grid; give both")
-        if self.grid is not None and self.weights is not None:
-            weights = np.array(check.values_on(self.weights, "weights", len(self.grid)), dtype=np.float64)
-            if weights.ndim != 1:
-                raise ValueError(f"weights must have shape (n,) = ({len(self.grid)},), got {weights.shape}")
-            weights.setflags(write=False)
-            object.__setattr__(self, "weights", weights)
+        object.__setattr__(self, "weights", checked_weights(self.grid, self.weights))
 
     @property
     def feature_shape(self) -> tuple[int, int]:

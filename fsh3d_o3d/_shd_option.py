@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d.adapters.shell_fields import Distance, Route, ShellFields
-from fsh3d_o3d.sphere.grids import SphericalGrid, require_grid
+from fsh3d_o3d.sphere.grids import SphericalGrid
+from fsh3d_o3d.sphere.weights import checked_weights
 
 _RECIPE = 1  # raised whenever the same option gives other numbers
 
@@ -80,16 +81,7 @@ class SHDOption:
 
     def __post_init__(self) -> None:
         b = check.bandwidth(self.bandwidth)
-        if self.grid is not None:
-            require_grid(self.grid)
-        elif self.weights is not None:
-            raise ValueError("weights belong to a grid; give both")
-        if self.grid is not None and self.weights is not None:
-            weights = np.array(check.values_on(self.weights, "weights", len(self.grid)), dtype=np.float64)
-            if weights.ndim != 1:
-                raise ValueError(f"weights must have shape (n,) = ({len(self.grid)},), got {weights.shape}")
-            weights.setflags(write=False)
-            object.__setattr__(self, "weights", weights)
+        object.__setattr__(self, "weights", checked_weights(self.grid, self.weights))
         for name in ("widths", "frames"):
             given = getattr(self, name)
             if isinstance(given, list):

@@ -1,12 +1,10 @@
-"""What ``fsh3d reconstruct`` writes, checked before any work is done (private)."""
+"""What a command writes, checked before any work is done (private)."""
 
 from __future__ import annotations
 
-import argparse
 import os
+from collections.abc import Mapping
 from pathlib import Path
-
-from fsh3d_o3d.adapters.writing import WRITABLE_MESH_FORMATS
 
 
 def level_path(output: str, bandwidth: int) -> str:
@@ -15,20 +13,17 @@ def level_path(output: str, bandwidth: int) -> str:
     return str(path.with_name(f"{path.stem}.b{bandwidth}{path.suffix}"))
 
 
-def checked_targets(options: argparse.Namespace) -> list[str]:
+def checked_targets(targets: Mapping[str, tuple[str | None, tuple[str, ...]]], inputs: Mapping[str, str]) -> list[str]:
     """Return the files that will be written.
+
+    Args:
+        targets: Name of each option, the file it asks for if any, and what that may end in.
+        inputs: Names of what is read, and the files.
 
     Raises:
         ValueError: Two are the same file, or one is a folder, in no folder, or of the wrong kind.
     """
-    targets = {
-        "output": (options.output, WRITABLE_MESH_FORMATS),
-        **{f"level {b}": (level_path(options.output, b), WRITABLE_MESH_FORMATS) for b in options.levels},
-        "--save": (options.save, (".npz",)),
-        "--picture": (options.picture, (".png",)),
-        "--report": (options.report, (".html", ".htm")),
-    }
-    seen: dict[str, str] = {os.path.realpath(options.input): "the input"}
+    seen = {os.path.realpath(path): name for name, path in inputs.items()}
     for name, (target, suffixes) in targets.items():
         if not target:
             continue

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from fsh3d_o3d.adapters.writing import (
     write_geometry,
 )
 from fsh3d_o3d.cli._console import Progress, print_json
+from fsh3d_o3d.cli._targets import checked_targets
 from fsh3d_o3d.registration import (
     SphericalRegistrationOption,
     SphericalRegistrationResult,
@@ -64,7 +64,15 @@ def run(options: argparse.Namespace) -> int:
     option = SphericalRegistrationOption(
         with_scaling=options.scale, polish=options.polish, reflections=options.reflections
     )
-    targets = _checked_targets(options)
+    formats = tuple(dict.fromkeys(WRITABLE_MESH_FORMATS + WRITABLE_CLOUD_FORMATS))
+    targets = checked_targets(
+        {
+            "output": (options.output, formats),
+            "--transformation": (options.transformation, (".txt",)),
+            "--picture": (options.picture, (".png",)),
+        },
+        {"the target": options.target, "the source": options.source},
+    )
     with Progress(4, not options.quiet) as progress:
         progress.step("reading")
         source, target = read_geometry_arrays(options.source), read_geometry_arrays(options.target)
@@ -96,32 +104,6 @@ def transformed(geometry: MeshArrays | PointArrays, transformation: Float64Array
         return MeshArrays(geometry.vertices @ linear.T + shift, triangles)
     turned = None if geometry.normals is None else geometry.normals @ (linear / np.cbrt(abs(determinant))).T
     return PointArrays(geometry.points @ linear.T + shift, turned, geometry.colors)
-
-
-def _checked_targets(options: argparse.Namespace) -> list[str]:
-    """What will be written; refused before any work if two are the same file or one cannot be written."""
-    formats = tuple(dict.fromkeys(WRITABLE_MESH_FORMATS + WRITABLE_CLOUD_FORMATS))
-    targets = {
-        "output": (options.output, formats),
-        "--transformation": (options.transformation, (".txt",)),
-        "--picture": (options.picture, (".png",)),
-    }
-    seen = {os.path.realpath(options.target): "the target", os.path.realpath(options.source): "the source"}
-    for name, (target, suffixes) in targets.items():
-        if not target:
-            continue
-        path = Path(target)
-        if path.suffix.lower() not in suffixes:
-            raise ValueError(f"{name} must end in {' or '.join(suffixes)}, got {target!r}")
-        if not path.parent.is_dir():
-            raise ValueError(f"{name}: there is no folder {str(path.parent)!r}")
-        if path.is_dir():
-            raise ValueError(f"{name}: {target!r} is a folder")
-        real = os.path.realpath(target)
-        if real in seen:
-            raise ValueError(f"{name} and {seen[real]} are the same file {target!r}")
-        seen[real] = name
-    return [target for target, _ in targets.values() if target]
 
 
 def _check_format(output: str, source: MeshArrays | PointArrays) -> None:

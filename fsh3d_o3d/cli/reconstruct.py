@@ -48,7 +48,16 @@ def add_parser(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Carry out the command."""
     b = checked_bandwidth(options)
-    targets = checked_targets(options)
+    targets = checked_targets(
+        {
+            "output": (options.output, WRITABLE_MESH_FORMATS),
+            **{f"level {b}": (level_path(options.output, b), WRITABLE_MESH_FORMATS) for b in options.levels},
+            "--save": (options.save, (".npz",)),
+            "--picture": (options.picture, (".png",)),
+            "--report": (options.report, (".html", ".htm")),
+        },
+        {"the input": options.input},
+    )
     with Progress(6, not options.quiet) as progress:
         progress.step("reading")
         original = read_geometry_arrays(options.input)

@@ -56,3 +56,46 @@ def table(caption: str, rows: Sequence[Figure]) -> str:
     )
     head = "".join(f'<th scope="col"><span class="unseen">{name}</span></th>' for name in ("Figure", "Value"))
     return f"<table><caption>{escaped(caption)}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def document(title: str, body: str, data: Any, *, script: str, styles: Sequence[str]) -> str:
+    """Return a page that works offline, may run nothing but plotly and one of our scripts, and loads nothing.
+
+    Args:
+        title: As text.
+        body: As HTML.
+        data: For the script, as JSON.
+        script: Asset.
+        styles: Assets, in order.
+    """
+    # Imported here: the pages are rare and plotly takes a moment.
+    from plotly.offline import get_plotlyjs
+
+    library, library_source = code_block(get_plotlyjs())
+    page, page_source = code_block(asset(script))
+    # Plotly styles elements and builds functions from text; nothing may come from elsewhere.
+    policy = (
+        f"default-src 'none'; script-src {library_source} {page_source} 'unsafe-eval'; "
+        "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'"
+    )
+    return "\n".join(
+        [
+            "<!DOCTYPE html>",
+            '<html lang="en">',
+            "<head>",
+            '<meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{escaped(title)}</title>",
+            f"<style>\n{''.join(map(asset, styles))}</style>",
+            "</head>",
+            "<body>",
+            body,
+            data_block("report-data", data),
+            library,
+            page,
+            "</body>",
+            "</html>",
+            "",
+        ]
+    )

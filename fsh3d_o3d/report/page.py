@@ -17,7 +17,7 @@ from fsh3d_o3d.adapters.writing import atomic_write_bytes
 from fsh3d_o3d.report._colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, color_stops, css_color, error_colors
 from fsh3d_o3d.report._display import Displayed, common_frame, displayed, geometry_json, packed, shaded_points
 from fsh3d_o3d.report._figures import FigureValue, figure_rows, percent_text
-from fsh3d_o3d.report._html import asset, code_block, data_block, escaped, png_source, table
+from fsh3d_o3d.report._html import document, escaped, png_source, table
 from fsh3d_o3d.report._view import DEFAULT_DIRECTION
 from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail, side_by_side
 
@@ -91,7 +91,8 @@ def write_reconstruction_page(
         ]
     )
     data = _page_data(first, shapes, relative, top, spectrum, reach)
-    atomic_write_bytes(path, _document(title, body, data).encode("utf-8"))
+    text = document(title, body, data, script="page.js", styles=("page.css",))
+    atomic_write_bytes(path, text.encode("utf-8"))
 
 
 def reconstruction_picture(original: Any, reconstruction: Any, errors: Any, *, size: int = 480) -> NDArray[np.uint8]:
@@ -258,37 +259,3 @@ def _reading() -> str:
 
 def _cards(contents: list[str]) -> str:
     return "".join(f'<div class="card">{content}</div>' for content in contents)
-
-
-def _document(title: str, body: str, data: Mapping[str, Any]) -> str:
-    # Imported here: the pages are rare and plotly takes a moment.
-    from plotly.offline import get_plotlyjs
-
-    library, library_source = code_block(get_plotlyjs())
-    page, page_source = code_block(asset("page.js"))
-    # Plotly styles elements and builds functions from text; nothing may come from elsewhere.
-    policy = (
-        f"default-src 'none'; script-src {library_source} {page_source} 'unsafe-eval'; "
-        "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'"
-    )
-    return "\n".join(
-        [
-            "<!DOCTYPE html>",
-            '<html lang="en">',
-            "<head>",
-            '<meta charset="utf-8">',
-            f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f"<title>{escaped(title)}</title>",
-            f"<style>\n{asset('page.css')}</style>",
-            "</head>",
-            "<body>",
-            body,
-            data_block("report-data", data),
-            library,
-            page,
-            "</body>",
-            "</html>",
-            "",
-        ]
-    )

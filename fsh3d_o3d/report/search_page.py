@@ -19,7 +19,7 @@ from fsh3d_o3d.adapters.writing import atomic_write_bytes
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.report._colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, css_color
 from fsh3d_o3d.report._display import Displayed, displayed, geometry_json
-from fsh3d_o3d.report._html import asset, code_block, data_block, escaped, png_source
+from fsh3d_o3d.report._html import document, escaped, png_source
 from fsh3d_o3d.report._view import DEFAULT_DIRECTION, positions
 from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail
 from fsh3d_o3d.retrieval.shape_index import Hit
@@ -91,7 +91,8 @@ def write_search_page(path: str | os.PathLike[str], results: Sequence[SearchResu
     towards = np.array(DEFAULT_DIRECTION) / np.linalg.norm(DEFAULT_DIRECTION)
     eye = 1.05 * math.sqrt(3) / 2 / math.sin(_FIELD / 2) * towards
     page = {"results": data, "eye": dict(zip("xyz", eye.tolist(), strict=True)), "colors": [_QUERY, _HIT]}
-    atomic_write_bytes(path, _document(title, body, page).encode("utf-8"))
+    text = document(title, body, page, script="search.js", styles=("page.css", "search.css"))
+    atomic_write_bytes(path, text.encode("utf-8"))
 
 
 def moved(geometry: MeshArrays | PointArrays, transformation: Float64Array) -> MeshArrays | PointArrays:
@@ -174,38 +175,4 @@ def _viewer() -> str:
         '<button id="viewer-close" type="submit">Close</button></form><div id="viewer-plot"></div>'
         f'<p><span class="key" style="background:{_QUERY}"></span> query '
         f'<span class="key" style="background:{_HIT}"></span> hit, aligned. Drag to turn, scroll to zoom.</p></dialog>'
-    )
-
-
-def _document(title: str, body: str, data: Any) -> str:
-    # Imported here: the pages are rare and plotly takes a moment.
-    from plotly.offline import get_plotlyjs
-
-    library, library_source = code_block(get_plotlyjs())
-    page, page_source = code_block(asset("search.js"))
-    # Plotly styles elements and builds functions from text; nothing may come from elsewhere.
-    policy = (
-        f"default-src 'none'; script-src {library_source} {page_source} 'unsafe-eval'; "
-        "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'"
-    )
-    return "\n".join(
-        [
-            "<!DOCTYPE html>",
-            '<html lang="en">',
-            "<head>",
-            '<meta charset="utf-8">',
-            f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f"<title>{escaped(title)}</title>",
-            f"<style>\n{asset('page.css')}{asset('search.css')}</style>",
-            "</head>",
-            "<body>",
-            body,
-            data_block("report-data", data),
-            library,
-            page,
-            "</body>",
-            "</html>",
-            "",
-        ]
     )

@@ -45,3 +45,23 @@ def driscoll_healy_weights(bandwidth: int) -> Float64Array:
     rows = 2 / b * np.sin(theta) * (np.sin(np.outer(theta, odd)) / odd).sum(axis=1)
     rows = (rows + rows[::-1]) / 2  # north and south alike to the last bit
     return np.repeat(rows * (np.pi / b), 2 * b)
+
+
+def checked_weights(grid: SphericalGrid | None, weights: object | None) -> Float64Array | None:
+    """Return an option's weights as a read-only copy (n,) that fits its grid; None where there are none.
+
+    Raises:
+        TypeError: Not a grid.
+        ValueError: Weights without a grid, or of another shape.
+    """
+    if grid is not None:
+        require_grid(grid)
+    elif weights is not None:
+        raise ValueError("weights belong to a grid; give both")
+    if grid is None or weights is None:
+        return None
+    own = np.array(check.values_on(weights, "weights", len(grid)), dtype=np.float64)
+    if own.ndim != 1:
+        raise ValueError(f"weights must have shape (n,) = ({len(grid)},), got {own.shape}")
+    own.setflags(write=False)
+    return own

@@ -236,10 +236,11 @@ def picture(body: Subject, name: str, b: int, output: tuple[Path, str]) -> None:
     deviations = [1e3 * fsh.vertex_distances(shape, body.mesh) for shape in panels.values()]
     top = float(np.quantile(np.concatenate(deviations), 0.99))
     order = np.argsort(np.ptp(body.mesh.vertices, axis=0))  # shortest first: the line of sight
+    view = Rotation.from_euler("yx", (30, 20), degrees=True).as_matrix()
+    everything = np.concatenate([shape.vertices for shape in panels.values()])[:, order[[2, 1, 0]]] @ view.T
     figure, places = plt.subplots(1, len(panels), figsize=(14, 4.2), layout="constrained")
     for axes, (title, shape), values in zip(places, panels.items(), deviations, strict=True):
         # The middle one up, a little from the side; shaded by the angle to a light at the eye.
-        view = Rotation.from_euler("yx", (30, 20), degrees=True).as_matrix()
         points = shape.vertices[:, order[[2, 1, 0]]] @ view.T
         corners = points[shape.triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -251,7 +252,7 @@ def picture(body: Subject, name: str, b: int, output: tuple[Path, str]) -> None:
             corners[far_first, :, :2], facecolors=color[far_first], edgecolors="face", linewidths=0.3
         )
         axes.add_collection(faces)
-        axes.set(aspect="equal", xlim=_limits(points[:, 0]), ylim=_limits(points[:, 1]))
+        axes.set(aspect="equal", xlim=_limits(everything[:, 0]), ylim=_limits(everything[:, 1]))
         axes.set_axis_off()
         axes.set_title(f"{title}\nmean deviation {values.mean():.2f}", fontsize=10)
     scale = plt.cm.ScalarMappable(plt.Normalize(0, top), "viridis")
