@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from fsh3d_o3d._validation import Float64Array, IntArray, choice, number, point
 from fsh3d_o3d._validation import directions as checked_directions
 from fsh3d_o3d.adapters._rays import Frame, UnitScene
-from fsh3d_o3d.adapters.conformal._diagnosis import mapping_obstacles
+from fsh3d_o3d.adapters.conformal import mapping_obstacles
 from fsh3d_o3d.adapters.geometry import MeshArrays
 from fsh3d_o3d.adapters.star import SAME_HIT, visible_area
 from fsh3d_o3d.errors import GeometryError, NotStarShapedError

@@ -11,7 +11,12 @@ def printable(text: str) -> str:
     Bytes that are not UTF-8 and control characters, newlines among them, are escaped.
     """
     escaped = "".join(_escaped(c) if unicodedata.category(c) in ("Cc", "Cf", "Zl", "Zp") else c for c in text)
-    return escaped.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    return encodable(escaped)
+
+
+def encodable(text: str) -> str:
+    """Return a name as text that any encoding can hold: bytes that are not UTF-8 are escaped."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
 
 
 def _escaped(character: str) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.cli._console import Progress, error_line, print_json
+from fsh3d_o3d.cli._names import encodable
 from fsh3d_o3d.descriptors import SHDOption, shd_descriptor
 from fsh3d_o3d.shapes.storage import write_arrays
 
@@ -67,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
     if not features:
         return 2
     arrays = {
-        "paths": np.array([_printable(path) for path in paths]),
+        "paths": np.array([encodable(path) for path in paths]),
         "features": np.stack(features),
         "shape": np.array(option.feature_shape),
         "option": np.array(options.option),
@@ -106,9 +107,4 @@ def _check_target(options: argparse.Namespace) -> None:
 
 def _named(path: str, reason: str) -> str:
     """The reason in one line that names the file, once."""
-    return reason if path in reason else f"{_printable(path)}: {reason}"
-
-
-def _printable(path: str) -> str:
-    """A path as text that any encoding can hold; bytes that are not UTF-8 are escaped."""
-    return path.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    return reason if path in reason else f"{encodable(path)}: {reason}"

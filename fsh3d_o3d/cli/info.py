@@ -6,7 +6,7 @@ import argparse
 import os
 from typing import Any
 
-from fsh3d_o3d.adapters.conformal._diagnosis import mapping_obstacles
+from fsh3d_o3d.adapters.conformal import mapping_obstacles
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.mesh_measures import measure_mesh, weld
 from fsh3d_o3d.adapters.radial_cloud import cloud_center, fit_radial_cloud

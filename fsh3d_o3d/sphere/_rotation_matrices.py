@@ -11,6 +11,7 @@ import functools
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d.sphere._wigner import euler_angles
 from fsh3d_o3d.sphere.rotation import rotate_coefficients
 
 _QUARTER_TURN = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # about x, takes z to y
@@ -35,10 +36,7 @@ def rotate_each(rows: Float64Array, rotations: Float64Array, *, inverse: bool = 
 def _matrices(rotations: Float64Array, bandwidth: int) -> Float64Array:
     """The matrices D, (n, b, 2b−1, 2b−1), of rotations: the rotated coefficients are D c."""
     orders = np.arange(1.0 - bandwidth, bandwidth)
-    alpha = np.arctan2(rotations[:, 1, 2], rotations[:, 0, 2])
-    beta = np.arctan2(np.hypot(rotations[:, 0, 2], rotations[:, 1, 2]), rotations[:, 2, 2])
-    row = np.cos(alpha)[:, None] * rotations[:, 1] - np.sin(alpha)[:, None] * rotations[:, 0]
-    gamma = np.arctan2(row[:, 0], row[:, 1])
+    alpha, beta, gamma = euler_angles(rotations)
     # R_y is R_z between two quarter turns about x, and R_z only mixes the orders m and −m.
     turn = _quarter_turn(bandwidth)
     middle = _turn_columns(turn, beta, orders) @ np.swapaxes(turn, 1, 2)
