@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fsh3d_o3d.adapters._object_storage import is_uri, object_content
 from fsh3d_o3d.adapters._parse_gltf import parse_glb, parse_gltf
 from fsh3d_o3d.adapters._parse_obj import parse_obj
 from fsh3d_o3d.adapters._parse_off import parse_off
@@ -42,6 +43,7 @@ PARSERS: dict[str, Callable[[bytes], MeshArrays | PointArrays]] = {
 """A file's extension, and what turns its content into arrays or raises ``GeometryError`` with the reason."""
 
 _SNIFFED = 4096  # bytes
+_TOO_LITTLE_MEMORY = "needs more memory than the reader is allowed"
 # In this order; looked for only where the parser that the extension names has failed.
 _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("PLY", re.compile(rb"ply[ \t]*[\r\n]")),
@@ -67,18 +69,43 @@ def read_file(path: str) -> MeshArrays | PointArrays:
         FileNotFoundError: There is no such file.
         GeometryReadError: Everything else, in one line with the file's name.
     """
-    parser = parser_for(path)
-    data = b""
+    parser_for(path)
     try:
-        data = _content(path)
-        with np.errstate(all="ignore"):  # what is not finite is an error, not a warning
-            return parser(data)
+        data = file_content(path)
     except FileNotFoundError:
         raise FileNotFoundError(errno.ENOENT, "No such file", path) from None
-    except OSError as error:
-        raise read_error(path, error.strerror or str(error)) from None
+    except (OSError, GeometryError) as error:
+        raise read_error(path, getattr(error, "strerror", None) or str(error)) from None
     except MemoryError:
-        raise read_error(path, "needs more memory than the reader is allowed") from None
+        raise read_error(path, _TOO_LITTLE_MEMORY) from None
+    return parse_content(path, data)
+
+
+def file_content(path: str) -> bytes:
+    """Return the bytes of a regular file, or of an object in storage.
+
+    Raises:
+        OSError: It is not there or cannot be read.
+        GeometryReadError: It is not a regular file, or holds nothing.
+    """
+    data = object_content(path) if is_uri(path) else _regular_content(path)
+    if not data.strip(b"\0 \t\r\n"):
+        raise GeometryReadError("the file is empty" if not data else "the file holds nothing but blanks")
+    return data
+
+
+def parse_content(path: str, data: bytes) -> MeshArrays | PointArrays:
+    """Return the bytes of a file as arrays; its name tells the format.
+
+    Raises:
+        GeometryReadError: They cannot be, in one line with the file's name.
+    """
+    parser = parser_for(path)
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is an error, not a warning
+            return parser(data)
+    except MemoryError:
+        raise read_error(path, _TOO_LITTLE_MEMORY) from None
     except GeometryError as error:
         raise read_error(path, _with_sniffed(path, data, str(error))) from None
     except Exception as error:  # what no parser foresaw in a file is the file's fault for the caller all the same
@@ -99,19 +126,16 @@ def read_error(path: str, reason: str) -> GeometryReadError:
     return GeometryReadError(_one_line(f"{path}: {reason}"))
 
 
-def _content(path: str) -> bytes:
+def _regular_content(path: str) -> bytes:
     # O_NONBLOCK: opening a pipe that no one writes to would wait for ever. It changes nothing for regular files.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
             raise GeometryReadError("is not a regular file")
         with open(descriptor, "rb", closefd=False) as file:
-            data = file.read()
+            return file.read()
     finally:
         os.close(descriptor)
-    if not data.strip(b"\0 \t\r\n"):
-        raise GeometryReadError("the file is empty" if not data else "the file holds nothing but blanks")
-    return data
 
 
 def _with_sniffed(path: str, data: bytes, reason: str) -> str:

@@ -12,6 +12,7 @@ import os
 from typing import Any
 
 from fsh3d_o3d._validation import integer, number
+from fsh3d_o3d.adapters._object_storage import absolute
 from fsh3d_o3d.adapters._parsers import PARSERS, parser_for, read_file
 from fsh3d_o3d.adapters._reader_process import ReaderProcess
 from fsh3d_o3d.adapters.geometry import GeometryKind, MeshArrays, PointArrays, open3d_mesh, open3d_point_cloud
@@ -38,7 +39,8 @@ def read_geometry_arrays(
     .pcd`` and ``.ply`` without faces, with normals and colours where the file has them.
 
     Args:
-        path: The file; its extension names the format.
+        path: The file; its extension names the format. Also ``s3://bucket/name`` and the like, with the credentials
+            and the endpoint of the environment.
         isolated: Parse in a separate process, so that whatever the file does to the parser, the caller lives.
         timeout: Seconds after which the separate process is stopped.
         memory_limit: Bytes that reading may take in the separate process.
@@ -47,7 +49,7 @@ def read_geometry_arrays(
         FileNotFoundError: There is no such file.
         GeometryReadError: The file cannot be read: one line that names the file and the reason.
     """
-    name = os.path.abspath(os.fsdecode(path))  # noqa: PTH100 - resolves no links, and keeps bytes that are not UTF-8
+    name = absolute(path)
     timeout = number(timeout, "timeout", minimum=0, exclusive=True)
     memory_limit = integer(memory_limit, "memory_limit", minimum=2**20)
     parser_for(name)

@@ -13,7 +13,7 @@ from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.cli._console import error_line, print_json
 from fsh3d_o3d.cli._names import printable
-from fsh3d_o3d.retrieval.library_files import library_files
+from fsh3d_o3d.retrieval.library_files import is_folder, library_files
 from fsh3d_o3d.retrieval.shape_index import Hit, ShapeIndex
 
 _Found = list[tuple[str, MeshArrays | PointArrays, tuple[Hit, ...]]]
@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _inputs(options: argparse.Namespace) -> tuple[Sequence[str], bool]:
-    if not Path(options.input).is_dir():
+    if not is_folder(options.input):
         return [options.input], True
     files = list(library_files(options.input, leave_out=options.index))
     if not files:

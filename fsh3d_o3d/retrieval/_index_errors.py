@@ -7,6 +7,8 @@ import os
 import re
 from collections.abc import Iterator
 
+from fsh3d_o3d.adapters._object_storage import is_uri, storage_error
+
 _OS_ERROR = re.compile(r"os error (\d+)")
 
 
@@ -37,4 +39,7 @@ def translated(path: str, doing: str) -> Iterator[None]:
         if code is not None and int(code.group(1)) != 2:  # a missing file is damage
             number = int(code.group(1))
             raise OSError(number, f"{os.strerror(number)} while {doing}; the index is as it was", path) from error
+        refused = storage_error(path, text) if is_uri(path) else None
+        if refused is not None:
+            raise refused from error
         raise ShapeIndexError(f"{path}: the index is damaged ({doing}): {text[:300]}") from error

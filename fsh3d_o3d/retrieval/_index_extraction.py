@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import os
 import resource
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d.adapters._object_storage import StoredObject, is_uri, object_states
+from fsh3d_o3d.adapters._parsers import file_content, parse_content
 from fsh3d_o3d.adapters._topology import EdgeTable
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.mesh_measures import weld
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.descriptors import ShapeSignature, SHDOption, compute_signature
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.retrieval._index_codec import ALIGNED_DEGREES
@@ -25,8 +26,6 @@ from fsh3d_o3d.retrieval._index_codec import ALIGNED_DEGREES
 Geometry = MeshArrays | PointArrays
 Thumbnailer = Callable[[Geometry], bytes]
 """Makes a PNG of a geometry. Must pickle: it travels to the worker processes."""
-
-_CHUNK = 2**20
 
 
 @dataclass(frozen=True)
@@ -40,13 +39,39 @@ class FileState:
 
     @classmethod
     def of(cls, path: str) -> FileState:
-        """Return a file's.
+        """Return a file's, or an object's in storage.
 
         Raises:
             OSError: There is none.
         """
+        if is_uri(path):
+            found = object_states([path]).get(path)
+            if found is None:
+                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)
+            return cls._listed(found)
         about = os.stat(path)  # noqa: PTH116 - pathlib has nothing for names that are not UTF-8
         return cls(about.st_size, about.st_mtime_ns)
+
+    @classmethod
+    def of_all(cls, paths: Iterable[str]) -> dict[str, FileState | str]:
+        """Return each path's, or why there is none; objects are not asked for one by one.
+
+        Raises:
+            OSError: A storage does not answer, refuses, or has no such bucket.
+        """
+        states: dict[str, FileState | str] = dict.fromkeys(paths, os.strerror(errno.ENOENT))
+        for path in states:
+            if not is_uri(path):
+                try:
+                    states[path] = cls.of(path)
+                except OSError as error:
+                    states[path] = error.strerror or str(error)
+        found = object_states(path for path in states if is_uri(path))
+        return states | {path: cls._listed(one) for path, one in found.items()}
+
+    @classmethod
+    def _listed(cls, found: StoredObject) -> FileState:
+        return cls(found.size, found.mtime)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,14 +114,14 @@ class DescribeFile:
             OSError, GeometryError, MemoryError: It cannot be read or described, or changed meanwhile.
         """
         state = FileState.of(path)
-        if not Path(path).is_file():
-            raise GeometryError("not a regular file")
-        content = content_hash(path)
-        if identity(path, content) in self.known:
-            return Described(state, content, None)
         with _limited(self.memory_limit):
+            data = file_content(path)
+            content = hashlib.sha256(data).digest()
+            if identity(path, content) in self.known:
+                return Described(state, content, None)
             # Not in yet another process: this one is the one that may die.
-            geometry = read_geometry_arrays(path, isolated=False)
+            geometry = parse_content(path, data)
+            del data
             signature = describe(geometry, self.option)
             mesh = geometry if isinstance(geometry, MeshArrays) else None
             described = Described(
@@ -124,15 +149,6 @@ def describe(geometry: Geometry, option: SHDOption) -> ShapeSignature:
     if not all(np.isfinite(values).all() for values in numbers):
         raise GeometryError("its descriptor is not finite")
     return signature
-
-
-def content_hash(path: str) -> bytes:
-    """Return the SHA-256 of a file's bytes."""
-    digest = hashlib.sha256()
-    with Path(path).open("rb") as file:
-        while chunk := file.read(_CHUNK):
-            digest.update(chunk)
-    return digest.digest()
 
 
 def identity(path: str, content: bytes) -> bytes:

@@ -73,11 +73,9 @@ class Filling:
         self._load()
         reasons: dict[str, str] = {}
         todo: dict[str, FileState] = {}
-        for path in paths:
-            try:
-                state = FileState.of(path)
-            except OSError as error:
-                reasons[path] = error.strerror or str(error)
+        for path, state in FileState.of_all(paths).items():
+            if isinstance(state, str):
+                reasons[path] = state
                 continue
             if self._models.get(path) == state:
                 if path in self._failures:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.descriptors import ShapeSignature, SHDOption
 from fsh3d_o3d.retrieval._index_codec import decoded, encoded, functions_of, signature_type, sketches
 from fsh3d_o3d.retrieval._index_errors import ShapeIndexError
@@ -20,29 +20,61 @@ from fsh3d_o3d.retrieval._index_store import fixed_lists
 
 
 @dataclass(frozen=True, eq=False)
-class Signatures:
-    """What is compared, of some rows of an index or of a query; as it comes back from storage."""
+class Query:
+    """What rows of an index are compared with; rounded as if stored: a file is at distance 0 from itself."""
 
-    features: NDArray[np.float32]
-    """(n, d)."""
-    sketches: NDArray[np.float32]
-    """(n, SKETCH_LENGTH), or (0, …) where they were not asked for."""
+    feature: NDArray[np.float32]
+    """(d,)."""
+    sketch: NDArray[np.float32]
+    """(SKETCH_LENGTH,)."""
     coefficients: NDArray[np.float32]
-    """(n, R, b²)."""
-    frames: Float64Array
-    """(n, 13): centroid, RMS radius, principal axes."""
+    """(R, b²)."""
+    frame: Float64Array
+    """(13,): centroid, RMS radius, principal axes."""
 
     @classmethod
-    def of(cls, signature: ShapeSignature) -> Signatures:
-        """Return a query, rounded as if it had been stored: the same file is at distance 0 from itself."""
+    def of(cls, signature: ShapeSignature) -> Query:
+        """Return what is compared of a signature."""
         codes, steps = encoded(signature.feature[None])
         low = encoded(signature.coefficients.reshape(1, -1))
         return cls(
-            features=decoded(codes, steps),
-            sketches=sketches(codes, steps).astype(np.float32),
-            coefficients=decoded(*low).reshape(1, *signature.coefficients.shape),
-            frames=frame_numbers(signature)[None],
+            feature=decoded(codes, steps)[0],
+            sketch=sketches(codes, steps)[0].astype(np.float32),
+            coefficients=decoded(*low).reshape(signature.coefficients.shape),
+            frame=frame_numbers(signature),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRows:
+    """The numbers of some rows of an index, as they are stored; decoded as far as they are asked for."""
+
+    numbers: NDArray[Any]
+    """(n,) of ``signature_type``."""
+    functions: int
+    """R, of each row."""
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def __getitem__(self, which: slice | IntArray) -> StoredRows:
+        return StoredRows(self.numbers[which], self.functions)
+
+    @property
+    def features(self) -> NDArray[np.float32]:
+        """(n, d), computed."""
+        return decoded(self.numbers["feature"], self.numbers["feature_step"])
+
+    @property
+    def coefficients(self) -> NDArray[np.float32]:
+        """(n, R, b²), computed."""
+        flat = decoded(self.numbers["coefficients"], self.numbers["coefficients_step"])
+        return flat.reshape(len(self), self.functions, flat.shape[1] // self.functions)
+
+    @property
+    def frames(self) -> Float64Array:
+        """(n, 13): centroid, RMS radius, principal axes."""
+        return np.array(self.numbers["frame"])
 
 
 def model_columns(paths: Sequence[str], found: Sequence[Described], option: SHDOption) -> dict[str, Any]:
@@ -79,28 +111,27 @@ def moved_columns(rows: Any, paths: Sequence[str], found: Sequence[Described]) -
     return {name: own.get(name, rows[name]) for name in rows.column_names}
 
 
-def signatures(column: Any, option: SHDOption, where: str) -> Signatures:
+def stored_rows(column: Any, option: SHDOption, where: str) -> StoredRows:
     """Return what the column ``signature`` of an Arrow table holds.
 
     Raises:
         ShapeIndexError: A row does not fit its checksum.
     """
-    rows = np.frombuffer(b"".join(column.to_pylist()), dtype=signature_type(option))
+    kind = signature_type(option)
+    rows = np.concatenate(
+        [
+            np.empty(0, kind),
+            *(np.frombuffer(part.buffers()[1], kind, len(part), part.offset * kind.itemsize) for part in column.chunks),
+        ]
+    )
     wrong = int(np.count_nonzero(_checksums(rows) != rows["checksum"]))
     if wrong:
         raise ShapeIndexError(f"{where}: the index is damaged: {wrong} rows do not fit their checksums")
-    coefficients = decoded(rows["coefficients"], rows["coefficients_step"])
-    functions = functions_of(option)
-    return Signatures(
-        features=decoded(rows["feature"], rows["feature_step"]),
-        sketches=np.empty((0, 0), np.float32),
-        coefficients=coefficients.reshape(len(rows), functions, coefficients.shape[1] // functions),
-        frames=np.array(rows["frame"]),
-    )
+    return StoredRows(rows, functions_of(option))
 
 
 def _checksums(rows: NDArray[Any]) -> NDArray[np.uint32]:
     """CRC-32 (n,) of rows: storage that flips a bit is found out, not believed."""
     bare = rows.dtype.itemsize - rows.dtype["checksum"].itemsize
     parts = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), rows.dtype.itemsize)
-    return np.array([zlib.crc32(part[:bare].tobytes()) for part in parts], dtype=np.uint32)
+    return np.array([zlib.crc32(part[:bare].data) for part in parts], dtype=np.uint32)

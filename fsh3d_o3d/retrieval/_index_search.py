@@ -14,17 +14,18 @@ from scipy.spatial.distance import cdist
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.retrieval._index_errors import translated
-from fsh3d_o3d.retrieval._index_rows import Signatures, signatures
+from fsh3d_o3d.retrieval._index_rows import Query, StoredRows, stored_rows
 from fsh3d_o3d.retrieval._index_store import IndexStore, vectors
 
 EXACT_BELOW = 5_000
 """Rows below which a query is compared with all of them; see ``docs/library.md``."""
 _ROWS_A_PARTITION = 400
-_PROBES = 24  # partitions that are looked into
+_PROBES = 16  # partitions that are looked into
 _SPARE = 2  # sketches' candidates for each row that is wanted
-_LEAST_CANDIDATES = 400
+_LEAST_CANDIDATES = 320
 _REINDEX = 0.2  # of the rows, new since the inverted file was made, are too many
 _BLOCK = 512
+_DECODED = 64  # rows
 _PAIRS_A_BLOCK = 2048
 _SLACK = 1.6  # four standard deviations of a squared sketch distance
 
@@ -37,8 +38,8 @@ class Candidates:
     """(n,) ``_rowid``."""
     distances: Float64Array
     """(n,) of the features, in the option's metric."""
-    signatures: Signatures
-    """(n, …)."""
+    stored: StoredRows
+    """(n)."""
 
 
 class IndexSearch:
@@ -49,28 +50,25 @@ class IndexSearch:
         self._l1 = option.metric == "l1"
         self._option = option
         self._exact_below = exact_below
-        self._all: tuple[int, IntArray, Signatures] | None = None
+        self._all: tuple[int, IntArray, StoredRows, NDArray[np.float32]] | None = None
         self._seen = -1
         self._count = 0
 
-    def nearest(self, query: Signatures, count: int) -> Candidates:
-        """Return the ``count`` rows nearest to a query (1, …), or all if there are fewer."""
-        version = self._store.refresh()
+    def nearest(self, query: Query, count: int) -> Candidates:
+        """Return the ``count`` rows nearest to a query, or all if there are fewer."""
+        version = self._store.newest()
         if version != self._seen:
             self._seen, self._count = version, self._store.count()
         if self._count < self._exact_below:
-            rows, found = self._everything(version)
+            rows, found, features = self._everything(version)
+            distances = self._distances(query.feature, features)
         else:
             rows, found = self._near(query, max(_LEAST_CANDIDATES, _SPARE * count))
-        distances = self._distances(query.features[0], found.features)
+            # Block by block: decoded all at once they would not fit the cache.
+            parts = (found[start : start + _DECODED] for start in range(0, len(found), _DECODED))
+            distances = np.concatenate([np.empty(0), *(self._distances(query.feature, p.features) for p in parts)])
         order = np.argsort(distances, kind="stable")[:count]
-        chosen = Signatures(
-            features=found.features[order],
-            sketches=np.empty((0, 0), np.float32),
-            coefficients=found.coefficients[order],
-            frames=found.frames[order],
-        )
-        return Candidates(rows[order], distances[order], chosen)
+        return Candidates(rows[order], distances[order], found[order])
 
     def index(self) -> None:
         """Make the inverted file, or bring it up to date, where the rows are too many to compare all."""
@@ -90,7 +88,7 @@ class IndexSearch:
 
     def close_pairs(self, limit: float) -> Iterator[tuple[int, int, float]]:
         """Yield pairs of ``_rowid`` whose features are at most ``limit`` apart, and how far they are."""
-        self._store.refresh()
+        self._store.newest()
         table = self._store.columns(self._store.models, ["sketch"])
         rows, sketch = table["_rowid"].to_numpy(), vectors(table["sketch"], np.float32)
         norm = np.square(sketch).sum(axis=1)
@@ -113,23 +111,24 @@ class IndexSearch:
         for index in np.flatnonzero(distance <= limit):
             yield int(left[index]), int(right[index]), float(distance[index])
 
-    def _everything(self, version: int) -> tuple[IntArray, Signatures]:
+    def _everything(self, version: int) -> tuple[IntArray, StoredRows, NDArray[np.float32]]:
         if self._all is None or self._all[0] != version:
             table = self._store.columns(self._store.models, ["signature"])
-            self._all = version, table["_rowid"].to_numpy().astype(np.int64), self._read(table)
-        return self._all[1], self._all[2]
+            found = self._read(table)
+            self._all = version, table["_rowid"].to_numpy().astype(np.int64), found, found.features
+        return self._all[1:]
 
-    def _near(self, query: Signatures, count: int) -> tuple[IntArray, Signatures]:
+    def _near(self, query: Query, count: int) -> tuple[IntArray, StoredRows]:
         probes = max(_PROBES, math.isqrt(self._count // _ROWS_A_PARTITION))
         with translated(self._store.path, "searching it"):
-            search = self._store.models.search(query.sketches[0], vector_column_name="sketch").distance_type("l2")
+            search = self._store.models.search(query.sketch, vector_column_name="sketch").distance_type("l2")
             columns = ["signature", "_distance"]
             table: Any = search.nprobes(probes).limit(count).select(columns).with_row_id(True).to_arrow()
         rows = table["_rowid"].to_numpy().astype(np.int64)
         return rows, self._read(table)
 
-    def _read(self, table: Any) -> Signatures:
-        return signatures(table["signature"], self._option, self._store.path)
+    def _read(self, table: Any) -> StoredRows:
+        return stored_rows(table["signature"], self._option, self._store.path)
 
     def _distances(self, query: NDArray[np.float32], others: NDArray[np.float32]) -> Float64Array:
         if not self._l1:

@@ -11,12 +11,12 @@ import errno
 import functools
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fsh3d_o3d.adapters._object_storage import folder_names, is_uri, lance_options
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.retrieval._index_codec import SKETCH_LENGTH, signature_type
 from fsh3d_o3d.retrieval._index_errors import ShapeIndexError, translated
@@ -51,15 +51,16 @@ class IndexStore:
             ShapeIndexError: The folder holds something else, a damaged index, or one of a newer version.
             OSError: It cannot be made.
         """
-        there = Path(path, "models.lance").exists()
+        names = _names(path)
+        there = names is not None and "models.lance" in names
         if not there and option is None:
-            if Path(path).is_dir():
+            if names is not None:
                 raise ShapeIndexError(f"{path}: this folder is no index")
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)
-        if not there and (Path(path).is_file() or (Path(path).is_dir() and not _empty(path))):
+        if not there and not (names or set()) <= {"failures.lance"}:  # of an index whose making was interrupted
             raise ShapeIndexError(f"{path}: there is something else here, and no index is made over it")
         with translated(path, "opening it"):
-            database = _lancedb().connect(path)
+            database = _lancedb().connect(path, storage_options=lance_options(path))
             if not there and option is not None:
                 # Failures first: where there are models, there is all.
                 for name, schema in (("failures", _failure_schema()), ("models", _model_schema(option))):
@@ -82,12 +83,20 @@ class IndexStore:
             self.failures.checkout_latest()
             return int(self.models.version)
 
+    def newest(self) -> int:
+        """See which models others have written meanwhile, but not their failures; returns the version."""
+        with translated(self.path, "reading it"):
+            self.models.checkout_latest()
+            return int(self.models.version)
+
     def require_writable(self) -> None:
         """Find out before the work whether rows can be written after it.
 
         Raises:
-            PermissionError: They cannot.
+            PermissionError: They cannot. Of object storage, only the first write can tell.
         """
+        if is_uri(self.path):
+            return
         for name in ("models", "failures"):
             folder = os.path.join(self.path, f"{name}.lance", "_versions")  # noqa: PTH118 - keeps bytes that are not UTF-8
             if not os.access(folder, os.W_OK, effective_ids=True):
@@ -171,9 +180,13 @@ def _retried(table: Any, call: Any) -> None:
             table.checkout_latest()
 
 
-def _empty(path: str) -> bool:
-    """Whether a folder holds nothing, or no more than an index whose making was interrupted."""
-    return set(os.listdir(path)) <= {"failures.lance"}  # noqa: PTH208 - names only
+def _names(path: str) -> set[str] | None:
+    """What a folder holds; None if there is none."""
+    if is_uri(path):
+        return folder_names(path) or None
+    if os.path.isfile(path):  # noqa: PTH113 - keeps bytes that are not UTF-8
+        raise ShapeIndexError(f"{path}: this is a file, not the folder of an index")
+    return set(os.listdir(path)) if os.path.isdir(path) else None  # noqa: PTH112, PTH208 - same
 
 
 def _is_one_of(column: str, values: Sequence[bytes]) -> str:

@@ -12,17 +12,19 @@ import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d.adapters._object_storage import absolute
 from fsh3d_o3d.adapters.geometry import geometry_arrays
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.retrieval._index_errors import ShapeIndexError
 from fsh3d_o3d.retrieval._index_extraction import DescribeFile, Thumbnailer, describe, similarity
 from fsh3d_o3d.retrieval._index_filling import Filling, IndexUpdate
-from fsh3d_o3d.retrieval._index_rows import Signatures
+from fsh3d_o3d.retrieval._index_rows import Query
 from fsh3d_o3d.retrieval._index_search import Candidates, IndexSearch
 from fsh3d_o3d.retrieval._index_store import IndexStore
 from fsh3d_o3d.retrieval._ray_tasks import run_tasks_on_ray
 from fsh3d_o3d.retrieval.extraction import FailedInput
+from fsh3d_o3d.retrieval.library_files import missing_files, require_place
 from fsh3d_o3d.retrieval.reranking import aligned_distances, mixed_distances
 
 __all__ = ["Hit", "IndexUpdate", "NearDuplicate", "ShapeIndex", "ShapeIndexError"]
@@ -87,7 +89,8 @@ class ShapeIndex:
         """Open an index.
 
         Args:
-            path: Its folder.
+            path: Its folder; or a name in object storage, like ``s3://bucket/parts.fsh``, with the credentials and the
+                endpoint of the environment (``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL``, …).
             create: Make it where there is none.
             option: What its models are described by. None: what the index was made with, ``SHDOption.best()`` for a
                 new one.
@@ -98,7 +101,7 @@ class ShapeIndex:
                 with another option.
             OSError: It cannot be read, or not made.
         """
-        name = os.path.abspath(os.fsdecode(path))  # noqa: PTH100 - keeps bytes that are not UTF-8
+        name = absolute(path)
         if option is not None and not isinstance(option, SHDOption):
             raise TypeError(f"option must be an SHDOption, got {type(option).__name__}")
         store = IndexStore.open(name, (option or SHDOption.best()) if create else None)
@@ -112,7 +115,7 @@ class ShapeIndex:
 
     @property
     def path(self) -> str:
-        """The folder, absolute."""
+        """The folder, absolute, or its name in object storage."""
         return self._store.path
 
     @property
@@ -146,7 +149,7 @@ class ShapeIndex:
         ``if __name__ == "__main__":``.
 
         Args:
-            paths: Meshes and point clouds in any format that is read.
+            paths: Meshes and point clouds in any format that is read; also in object storage.
             workers: Processes with one thread each; None: one for each core that this process may use.
             timeout: Seconds that one file may take.
             retry_failed: Try again what failed before.
@@ -172,7 +175,7 @@ class ShapeIndex:
         cores = len(os.sched_getaffinity(0)) if workers is None else workers
         number = check.integer(cores, "workers", minimum=1, maximum=1024)
         limit = check.integer(memory_limit, "memory_limit", minimum=2**20)
-        names = list(dict.fromkeys(os.path.abspath(os.fsdecode(path)) for path in paths))  # noqa: PTH100 - as above
+        names = list(dict.fromkeys(absolute(path) for path in paths))
         update = Filling(self._store, self._option).run(
             names,
             DescribeFile(self._option, thumbnail=thumbnail, memory_limit=limit),
@@ -194,19 +197,19 @@ class ShapeIndex:
             folder: Only those below it. It must be there: a disk that is not mounted is no reason to forget a library.
 
         Raises:
-            OSError: The folder is not there, or the index cannot be written.
+            OSError: The folder, or its bucket, is not there, a storage does not answer, or the index cannot be written.
         """
-        inside = b""
+        inside = ""
         if folder is not None:
-            inside = os.path.join(os.path.abspath(os.fsencode(folder)), b"")  # noqa: PTH100, PTH118 - bytes
-            os.scandir(inside).close()
+            inside = os.path.join(absolute(folder), "")  # noqa: PTH118 - keeps bytes that are not UTF-8
+            require_place(inside)
         self._store.refresh()
         removed = 0
         for table in (self._store.models, self._store.failures):
-            paths = self._store.columns(table, ["path"])["path"].to_pylist()
-            gone = [path for path in paths if path.startswith(inside) and not os.path.lexists(path)]
+            paths = map(os.fsdecode, self._store.columns(table, ["path"])["path"].to_pylist())
+            gone = missing_files([path for path in paths if path.startswith(inside)])
             if gone:
-                self._store.remove(table, gone)
+                self._store.remove(table, [os.fsencode(path) for path in gone])
             removed += len(gone) if table is self._store.models else 0
         return removed
 
@@ -237,11 +240,11 @@ class ShapeIndex:
             geometry = read_geometry_arrays(os.fsdecode(geometry_or_path))
         else:
             geometry = geometry_arrays(geometry_or_path)[0]
-        query = Signatures.of(describe(geometry, self._option))
+        query = Query.of(describe(geometry, self._option))
         candidates = self._search.nearest(query, max(top, rerank) if rerank else top)
         if len(candidates.rows) == 0:
             return ()
-        aligned, rotations = aligned_distances(query.coefficients[0], candidates.signatures.coefficients)
+        aligned, rotations = aligned_distances(query.coefficients, candidates.stored.coefficients)
         distances = mixed_distances(candidates.distances, aligned) if rerank else candidates.distances
         order = np.argsort(distances, kind="stable")[:top]
         return self._hits(query, candidates, distances, rotations, order)
@@ -265,16 +268,17 @@ class ShapeIndex:
 
     def _hits(
         self,
-        query: Signatures,
+        query: Query,
         candidates: Candidates,
         distances: Float64Array,
         rotations: Float64Array,
         order: Any,
     ) -> tuple[Hit, ...]:
         table = self._store.rows(candidates.rows[order], _HIT_COLUMNS).to_pydict()
+        frames = candidates.stored.frames
         hits = []
         for place, index in enumerate(order):
-            onto = similarity(query.frames[0], candidates.signatures.frames[index], rotations[index])
+            onto = similarity(query.frame, frames[index], rotations[index])
             turn = onto[:3, :3] / np.cbrt(np.linalg.det(onto[:3, :3]))
             for array in (onto, turn):
                 array.setflags(write=False)

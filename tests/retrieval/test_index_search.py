@@ -8,14 +8,14 @@ import pytest
 from fsh3d_o3d.adapters._surface_frame import surface_of
 from fsh3d_o3d.descriptors import ShapeSignature, compute_signature
 from fsh3d_o3d.retrieval._index_extraction import Described, FileState, similarity
-from fsh3d_o3d.retrieval._index_rows import Signatures, model_columns
+from fsh3d_o3d.retrieval._index_rows import Query, model_columns
 from fsh3d_o3d.retrieval._index_search import IndexSearch
 from fsh3d_o3d.retrieval._index_store import IndexStore
 from tests.retrieval.index_cases import QUICK, blob
 
 
 def variants(count, seed):
-    """Signatures of shapes like a few given ones."""
+    """Query.of shapes like a few given ones."""
     random = np.random.default_rng(seed)
     bases = [compute_signature(blob(n), QUICK, bandwidth=4) for n in range(8)]
     for _ in range(count):
@@ -42,7 +42,7 @@ def store(tmp_path_factory):
 
 def test_inverted_file_finds_the_same(store):
     exact, inverted = IndexSearch(store, QUICK), IndexSearch(store, QUICK, exact_below=100)
-    queries = [Signatures.of(signature) for signature in variants(20, 2)]
+    queries = [Query.of(signature) for signature in variants(20, 2)]
     expected = [exact.nearest(query, 10) for query in queries]
     recall = []
     for indexed in (False, True):
@@ -54,7 +54,7 @@ def test_inverted_file_finds_the_same(store):
             recall.append(np.isin(true.rows, found.rows).mean())
             if recall[-1] == 1:
                 np.testing.assert_array_equal(found.distances, true.distances)
-                np.testing.assert_array_equal(found.signatures.coefficients, true.signatures.coefficients)
+                np.testing.assert_array_equal(found.stored.coefficients, true.stored.coefficients)
     assert np.mean(recall) >= 0.99
 
 

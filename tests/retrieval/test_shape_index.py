@@ -208,7 +208,7 @@ def test_no_index(tmp_path):
         ShapeIndex.open(tmp_path / "folder")
     with pytest.raises(ShapeIndexError, match="something else"):
         ShapeIndex.open(tmp_path / "folder", create=True)
-    with pytest.raises(ShapeIndexError, match="something else"):
+    with pytest.raises(ShapeIndexError, match="this is a file"):
         ShapeIndex.open(tmp_path / "folder" / "thesis.txt", create=True)
 
 

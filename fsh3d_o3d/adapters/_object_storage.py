@@ -1,0 +1,229 @@
+"""Files on object storage, named like ``s3://bucket/folder/file.stl`` (private).
+
+PyArrow lists and reads them. Credentials, region and endpoint are those of the environment, as for other tools:
+``AWS_ACCESS_KEY_ID``, ``AWS_SECRET_ACCESS_KEY``, ``AWS_SESSION_TOKEN``, ``AWS_REGION``, ``AWS_ENDPOINT_URL``. No name
+is ever decoded: what follows the scheme is the bucket and the key as they are.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import functools
+import os
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import urlsplit
+
+_URI = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)
+SCHEMES = ("s3", "gs", "abfss")
+"""That both PyArrow, for files, and Lance, for an index, know under this name."""
+_CONNECT_SECONDS = 10.0
+_LISTED_FROM = 4  # files of one folder: one list of it instead of so many questions
+# In messages of the AWS library behind PyArrow, and of the one behind Lance.
+_NO_BUCKET = re.compile(r"NO_SUCH_BUCKET|NoSuchBucket")
+_DENIED = re.compile(
+    r"ACCESS_DENIED|INVALID_ACCESS_KEY|SIGNATURE_DOES_NOT_MATCH|AccessDenied|Forbidden|HTTP status 40[13]"
+)
+_UNREACHABLE = re.compile(
+    r"NETWORK_CONNECTION|[Cc]ould not (connect|resolve)|error sending request|HttpError|timed? ?out|ConnectError"
+)
+
+
+@dataclass(frozen=True)
+class StoredObject:
+    """What a list says of a file."""
+
+    uri: str
+    """Its name."""
+    size: int
+    """Bytes."""
+    mtime: int
+    """Time of the last change in nanoseconds, but in whole seconds, because not all answers tell more."""
+
+
+def is_uri(name: str) -> bool:
+    """Return whether a name is one of object storage rather than of a file system."""
+    return _URI.fullmatch(name) is not None
+
+
+def absolute(path: str | os.PathLike[str]) -> str:
+    """Return a name that means the same from any working folder; no link is resolved.
+
+    Bytes of a file's name that are not UTF-8 come as surrogates (``os.fsdecode``).
+
+    Raises:
+        ValueError: It is of a kind of storage that is not known.
+    """
+    name = os.fsdecode(path)
+    found = _URI.fullmatch(name)
+    if found is None:
+        return os.path.abspath(name)  # noqa: PTH100 - pathlib has nothing for names that are not UTF-8
+    scheme, rest = found.group(1).lower(), found.group(2).rstrip("/")
+    if scheme not in SCHEMES:
+        raise ValueError(f"{name}: {scheme}:// is not supported; {', '.join(f'{one}://' for one in SCHEMES)} are")
+    if not rest or rest.startswith("/"):
+        raise ValueError(f"{name}: the name of a bucket is missing after {scheme}://")
+    return f"{scheme}://{rest}"
+
+
+def object_content(uri: str) -> bytes:
+    """Return the bytes of a file.
+
+    Raises:
+        OSError: It is not there, or cannot be read.
+    """
+    files, path = _located(uri)
+    with _storage_errors(uri), files.open_input_file(path) as stream:
+        return bytes(stream.read())
+
+
+def object_states(uris: Iterable[str]) -> dict[str, StoredObject]:
+    """Return what is known of files without reading them; those that are not there are left out.
+
+    Raises:
+        OSError: The storage does not answer, refuses, or has no such bucket.
+    """
+    folders: dict[str, list[str]] = defaultdict(list)
+    for uri in uris:
+        folders[uri.rpartition("/")[0]].append(uri)
+    found: dict[str, StoredObject] = {}
+    for folder, names in folders.items():
+        if len(names) >= _LISTED_FROM and not folder.endswith("/"):
+            listed = {one.uri: one for one in list_objects(folder, recursive=False)}
+            found |= {name: listed[name] for name in names if name in listed}
+            continue
+        files, _ = _located(folder)
+        with _storage_errors(folder):
+            answers = files.get_file_info([_located(name)[1] for name in names])
+        there = {name: _stored(name, about) for name, about in zip(names, answers, strict=True) if about.is_file}
+        if len(there) < len(names):
+            require_bucket(folder)  # which is not told from a missing file
+        found |= there
+    return found
+
+
+def list_objects(uri: str, *, recursive: bool) -> list[StoredObject]:
+    """Return the files below a folder, by name; none where there is no such folder.
+
+    Raises:
+        OSError: The storage does not answer, refuses, or has no such bucket.
+    """
+    scheme = uri.partition("://")[0]
+    return [_stored(f"{scheme}://{one.path}", one) for one in _listing(uri, recursive) if one.is_file]
+
+
+def folder_names(uri: str) -> set[str]:
+    """Return the names of files and folders in a folder; none where there is no such folder.
+
+    Raises:
+        OSError: The storage does not answer, refuses, or has no such bucket.
+    """
+    return {one.base_name for one in _listing(uri, recursive=False)}
+
+
+def require_bucket(uri: str) -> None:
+    """Find out whether the bucket of a name is there.
+
+    Raises:
+        OSError: It is not, or the storage does not answer.
+    """
+    import pyarrow.fs
+
+    files, path = _located(uri)
+    with _storage_errors(uri):
+        bucket = files.get_file_info(path.partition("/")[0])
+    if bucket.type == pyarrow.fs.FileType.NotFound:
+        raise FileNotFoundError(errno.ENOENT, "No such bucket", uri)
+
+
+def lance_options(uri: str) -> dict[str, str] | None:
+    """Return what Lance is to be told of the storage beyond what it finds in the environment; None for a folder."""
+    if not is_uri(uri):
+        return None
+    options = {"connect_timeout": f"{_CONNECT_SECONDS:g}s", "client_max_retries": "3"}
+    endpoint, region = _endpoint(), _region()
+    if uri.startswith("s3://"):
+        if endpoint:
+            options |= {"aws_endpoint": endpoint, "aws_region": region or "us-east-1"}
+            options["allow_http"] = str(endpoint.startswith("http://")).lower()
+        elif region:
+            options["aws_region"] = region
+    return options
+
+
+def storage_error(uri: str, message: str) -> OSError | None:
+    """Return the error that PyArrow's or Lance's message stands for; None where it tells of nothing known."""
+    if _NO_BUCKET.search(message):
+        return FileNotFoundError(errno.ENOENT, "No such bucket", uri)
+    if _DENIED.search(message):
+        return PermissionError(errno.EACCES, "the storage denies access", uri)
+    if _UNREACHABLE.search(message):
+        return ConnectionError(errno.EHOSTUNREACH, "the storage cannot be reached", uri)
+    return None
+
+
+def _located(uri: str) -> tuple[Any, str]:
+    """The file system of a name, and its path there."""
+    scheme, _, path = uri.partition("://")
+    if scheme == "s3":
+        return _s3(_endpoint(), _region()), path
+    import pyarrow.fs
+
+    with _storage_errors(uri):
+        return pyarrow.fs.FileSystem.from_uri(uri)  # type: ignore[no-any-return]
+
+
+@functools.lru_cache(maxsize=4)
+def _s3(endpoint: str | None, region: str | None) -> Any:
+    import pyarrow.fs
+
+    options: dict[str, Any] = {"connect_timeout": _CONNECT_SECONDS}
+    if endpoint:
+        parts = urlsplit(endpoint)
+        options |= {"scheme": parts.scheme, "endpoint_override": parts.netloc + parts.path.rstrip("/")}
+        region = region or "us-east-1"
+    return pyarrow.fs.S3FileSystem(region=region, **options)
+
+
+def _endpoint() -> str | None:
+    endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or None
+    if endpoint is not None and urlsplit(endpoint).scheme not in ("http", "https"):
+        raise ValueError(f"AWS_ENDPOINT_URL must begin with http:// or https://, got {endpoint!r}")
+    return endpoint
+
+
+def _region() -> str | None:
+    return os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION") or None
+
+
+def _listing(uri: str, recursive: bool) -> list[Any]:
+    import pyarrow.fs
+
+    files, path = _located(uri)
+    with _storage_errors(uri):
+        found = files.get_file_info(pyarrow.fs.FileSelector(path, allow_not_found=True, recursive=recursive))
+    if not found:
+        require_bucket(uri)
+    return list(found)
+
+
+def _stored(uri: str, about: Any) -> StoredObject:
+    return StoredObject(uri, int(about.size), (about.mtime_ns or 0) // 10**9 * 10**9)
+
+
+@contextlib.contextmanager
+def _storage_errors(uri: str) -> Iterator[None]:
+    """A block that asks the storage: what it says comes out as the ``OSError`` of a file system, in one line."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), uri) from None
+    except (OSError, ValueError) as error:
+        text = " ".join(str(error).split())
+        if isinstance(error, ValueError) and "memory" in text.lower():
+            raise
+        raise (storage_error(uri, text) or OSError(errno.EIO, text[:300], uri)) from None
