@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -95,6 +96,8 @@ class Curve:
     """Where."""
     y: Sequence[float]
     """What."""
+    dashed: bool = False
+    """Drawn as a dashed line in the colour of the curve before: the other side of a comparison."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,9 @@ class Plot:
     curves: tuple[Curve, ...]
     """What to draw."""
     level: float | None = None
-    """A horizontal line: the target."""
+    """A horizontal line."""
+    level_label: str = "target"
+    """What it is."""
 
 
 @dataclass(frozen=True)
@@ -217,20 +222,44 @@ def _drawable() -> bool:
 
 
 def _draw(folder: Path, table: Table, plot: Plot) -> Path:
-    from matplotlib.figure import Figure
+    path = folder / f"{table.name}.png"
+    _figure(table, plot).savefig(path, dpi=130)
+    return path
 
-    figure = Figure(figsize=(7, 4.5), layout="constrained")
+
+def _figure(table: Table, plot: Plot) -> Any:
+    """The picture of a table, with its legend beside the curves."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, LogLocator
+
+    figure = Figure(figsize=(8.5, 4.5), layout="constrained")
     axes = figure.subplots()
-    for curve in plot.curves:
-        axes.plot(curve.x, curve.y, marker="o", markersize=4, linewidth=1.2, label=curve.label)
+    color = -1
+    for place, curve in enumerate(plot.curves):
+        color += not curve.dashed
+        # Curves that lie on each other are told apart by their markers: hollow, smaller and smaller.
+        axes.plot(
+            curve.x,
+            curve.y,
+            label=curve.label,
+            color=f"C{color}",
+            linestyle="--" if curve.dashed else "-",
+            linewidth=1.2,
+            marker="osD^vP*X"[place % 8],
+            markersize=max(4, 9 - place),
+            markerfacecolor="none",
+        )
     if plot.level is not None:
-        axes.axhline(plot.level, color="0.4", linestyle=":", label="target")
-    axes.set(xscale="log", yscale="log", xlabel=plot.x_label, ylabel=plot.y_label, title=table.title)
+        axes.axhline(plot.level, color="0.4", linestyle=":", label=plot.level_label)
+    axes.set(xscale="log", yscale="log", xlabel=plot.x_label, ylabel=plot.y_label)
+    axes.set_title(textwrap.fill(table.title, 80), fontsize="medium", loc="left")
     places = sorted({x for curve in plot.curves for x in curve.x})
     axes.set_xticks(places, [f"{place:g}" for place in places])
+    low, high = axes.get_ylim()
+    if high < 300 * low:  # powers of ten alone would be one or two labels
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.minorticks_off()
     axes.grid(alpha=0.3)
-    axes.legend(fontsize="small")
-    path = folder / f"{table.name}.png"
-    figure.savefig(path, dpi=130)
-    return path
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1), borderaxespad=0, fontsize="small")
+    return figure

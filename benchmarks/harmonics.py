@@ -83,7 +83,7 @@ def run(*, quick: bool = False) -> Iterator[Table]:
             Column("ratio", "scipy / ours", ".1f"),
         ),
         tuple(rows),
-        Plot("largest degree", "largest deviation", curves, 1e-13),
+        Plot("largest degree", "largest absolute deviation", curves, 1e-13),
         (f"extended: unnormalised recursion in {np.finfo(np.longdouble).nmant + 1}-bit floating point.",),
     )
 

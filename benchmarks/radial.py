@@ -102,7 +102,7 @@ def _meshes(cases: tuple[tuple[str, int], ...], samples: int) -> Table:
         for key, label in (("ours", "Fibonacci"), ("peer", "equiangular")):
             own = [row.cells for row in rows if row.cells["sample"] == name]
             x, y = ([float(cells[axis]) for cells in own] for axis in ("b", f"{key}_rmse"))  # type: ignore[arg-type]
-            curves.append(Curve(f"{name}, {label}", x, y))
+            curves.append(Curve(f"{name}, {label}", x, y, dashed=key == "peer"))
     return Table(
         "radial_meshes",
         "Sample meshes as radial functions: Fibonacci grid (6b²) beside the equiangular grid (4b²)",

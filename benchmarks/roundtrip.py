@@ -68,7 +68,7 @@ def run(*, quick: bool = False) -> Iterator[Table]:
                 "ratio": times[method.name].over(times[methods[0].name]),
             }
             rows.append(Row(cells, checks))
-    names = dict.fromkeys(str(row.cells["method"]) for row in rows)
+    names = dict.fromkeys(sorted((str(row.cells["method"]) for row in rows), key=_is_peer))
     curves = []
     for name in names:
         own = [row.cells for row in rows if row.cells["method"] == name]
@@ -90,6 +90,10 @@ def run(*, quick: bool = False) -> Iterator[Table]:
         Plot("bandwidth b", "relative L2 error", tuple(curves)),
         tuple(f"{name} is not installed and left out (extra `bench`)." for name in missing),
     )
+
+
+def _is_peer(name: str) -> bool:
+    return not name.startswith("ours")
 
 
 def _methods(case: FibonacciCase, coefficients: Float64Array, dense: bool, fast: bool) -> list[_Method]:

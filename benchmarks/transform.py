@@ -122,7 +122,7 @@ def _against_ducc0(bandwidths: tuple[int, ...]) -> Table:
                 and row.cells["batch"] == 1
             ]
             x, y = ([float(cells[key]) for cells in own] for key in ("b", "ratio"))  # type: ignore[arg-type]
-            curves.append(Curve(f"{direction}, {threads} thread{'s' * (threads > 1)}", x, y))
+            curves.append(Curve(f"{direction}, {threads} thread{'s' * (threads > 1)}", x, y, dashed=threads > 1))
     return Table(
         "transform_ducc0",
         "SphericalHarmonicTransform (engine auto) against ducc0 called per function",
@@ -253,5 +253,5 @@ def _crossovers(bandwidths: tuple[int, ...], batches: tuple[int, ...]) -> Table:
             Column("loss", "auto loses at most ×", ".2f"),
         ),
         tuple(rows),
-        Plot("bandwidth b", "NUFFT time / dense time, one thread", curves, 1.0),
+        Plot("bandwidth b", "NUFFT time / dense time, one thread", curves, 1.0, "equal"),
     )

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import fsh3d_o3d as fsh
 from benchmarks import __main__ as command
-from benchmarks import _measure, harmonics
+from benchmarks import _measure, _table, harmonics
 from benchmarks._table import Check, Column, Curve, Plot, Row, Table, write_tables
 
 # Figures that do not depend on the machine's speed: their targets hold at any size.
@@ -149,6 +150,30 @@ def test_missed_targets_name_the_case(tmp_path: Path) -> None:
     record = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))["tables"][0]["rows"]
     assert record[0]["checks"][0]["met"] is True
     assert record[1]["error"] is None  # JSON knows no infinity
+
+
+def test_picture_has_room_for_title_legend_and_labels() -> None:
+    """A long title and many curves; nothing may be cut off, lie on something else, or be drawn without a scale."""
+    curves = [Curve(f"a long name {k}", [16, 64], [1e-3 * (k + 1.5), 2e-3], dashed=k % 2 == 1) for k in range(8)]
+    plot = Plot("bandwidth b", "error", tuple(curves[:2]), 2e-3, "limit of this")
+    for given in (plot, Plot("bandwidth b", "error", tuple(curves))):
+        figure = _table._figure(Table("demo", "A title of many words. " * 5, (), (), given), given)
+        FigureCanvasAgg(figure).draw()
+        (axes,) = figure.axes
+        legend, title = axes.get_legend(), axes._left_title
+        own = axes.get_window_extent()
+        for part in (legend, title, axes.xaxis.label, axes.yaxis.label):
+            box = part.get_window_extent()
+            assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+            assert figure.bbox.y0 <= box.y0 < box.y1 <= figure.bbox.y1
+            assert not own.overlaps(box)
+        assert not legend.get_window_extent().overlaps(title.get_window_extent())
+        lines = axes.get_lines()
+        assert lines[0].get_color() == lines[1].get_color()  # the two sides of a comparison
+        assert [line.get_linestyle() for line in lines[:2]] == ["-", "--"]
+        low, high = axes.get_ylim()
+        assert sum(low <= tick <= high for tick in axes.get_yticks()) >= 2
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == [curve.label for curve in curves]
 
 
 def test_extended_precision_oracle_knows_low_degrees() -> None:

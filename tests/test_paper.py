@@ -132,6 +132,32 @@ def test_retrieval_wants_models_and_classification_together(tmp_path):
     assert "give both --models and --classification" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("name", "arguments", "said"),
+    [
+        ("retrieval.py", ("--models", ".", "--classification", "nowhere.cla"), "nowhere.cla"),
+        ("retrieval.py", ("--models", ".", "--classification", "odd.cla"), "odd.cla: line 1"),
+        ("star_shapes.py", ("--shapes", ".", "--workers", "1"), "no star-shaped mesh"),
+        ("grids.py", ("--output", "odd.cla"), "odd.cla"),
+    ],
+)
+def test_bad_input_is_one_line(tmp_path, name, arguments, said):
+    """No file, no classification, no mesh, and a file where the folder for results should be."""
+    (tmp_path / "odd.cla").write_text("not a classification\n", encoding="ascii")
+    done = subprocess.run(
+        [sys.executable, str(PAPER / name), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"{name}: ")
+    assert said in line
+
+
 @pytest.mark.parametrize("method", ["ESH 4b²", "SFG 4b²", "SFG 4b², fit", "SFG 6b²"])
 def test_a_pose_that_the_grid_shares_changes_no_error(script, method):
     """A half turn maps each grid to itself, so that any difference between the poses would be the measurement's."""

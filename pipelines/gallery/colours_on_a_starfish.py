@@ -63,7 +63,7 @@ def main() -> int:
         error = fsh.surface_error(mesh, again, samples=20_000).relative().rmse
         print(f"{6 * bandwidth**2:>6} numbers: RMSE {100 * error:.2f} % of the diagonal")
         pictures.append(render_thumbnail(again, width=SIZE, height=SIZE, direction=ABOVE, around=mesh))
-        captions.append(f"{6 * bandwidth**2} numbers, {100 * error:.2g} %")
+        captions.append(f"{6 * bandwidth**2} numbers: RMSE {100 * error:.2g} %")
     atomic_write_bytes(folder / "colours_on_a_starfish.png", encode_png(side_by_side(pictures, captions)))
     return 0
 

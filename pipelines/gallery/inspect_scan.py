@@ -65,7 +65,7 @@ def main() -> int:
         render_thumbnail(body, width=SIZE, height=SIZE, around=model, colors=colors),
         render_thumbnail(model, width=SIZE, height=SIZE, colors=error_colors(gap, FARTHEST * diagonal)),
     ]
-    captions = ["scan, as it came", "model", f"off by up to {100 * LARGEST:g} %", "dark: not scanned"]
+    captions = ["scan, as it came", "model", f"dark: {100 * LARGEST:g} % off", "dark: not scanned"]
     atomic_write_bytes(folder / "inspect_scan.png", encode_png(side_by_side(pictures, captions)))
     return 0 if found.confidence >= 0.5 else 1
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
+import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -31,16 +33,20 @@ def parser(description: str, name: str) -> argparse.ArgumentParser:
 
 
 def run(main: Callable[[], None]) -> None:
-    """Run a script and say how long it took."""
+    """Run a script and say how long it took; bad input is one line on standard error and exit code 2."""
     start = time.monotonic()
-    main()
+    try:
+        main()
+    except (ValueError, OSError) as error:
+        print(f"{Path(sys.argv[0]).name}: {' '.join(str(error).split())}", file=sys.stderr)
+        raise SystemExit(2) from None
     print(f"{time.monotonic() - start:.1f} s")
 
 
 def save_results(folder: Path, name: str, results: Mapping[str, Any]) -> None:
     """Write figures as JSON."""
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(results, indent=1, allow_nan=False, default=_plain)
+    text = json.dumps(_plain(results), indent=1, allow_nan=False)
     atomic_write_bytes(folder / f"{name}.json", f"{text}\n".encode())
 
 
@@ -69,8 +75,11 @@ def _text(cell: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{type(value).__name__} is not JSON")
+    """As JSON has it: null where there is no figure."""
+    if isinstance(value, Mapping):
+        return {str(name): _plain(part) for name, part in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

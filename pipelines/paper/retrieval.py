@@ -215,13 +215,14 @@ def draw(curves: dict[str, np.ndarray], count: int, folder: Path) -> None:
         values = np.where(given > 0, given, np.nan)  # 0: no class is large enough for so small a recall
         kind, grid = name.rsplit("-", 1)
         line = "--" if grid == "FSH3D" else "-"
-        left.plot(retrieval.RECALL_LEVELS, values, line, color=colors[kind], lw=1 if grid == "ESH" else 2.2, label=name)
+        width, label = 1 if grid == "ESH" else 2.2, f"{kind}, {grid}"
+        left.plot(retrieval.RECALL_LEVELS, values, line, color=colors[kind], lw=width, label=label)
         if grid == "FSH3D":
             rise = 100 * (values - curves[f"{kind}-ESH"])
             right.plot(retrieval.RECALL_LEVELS, rise, ".-", color=colors[kind], label=kind)
-    left.set(xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1), title=f"{count} models")
+    left.set(xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02), title=f"{count} models")
     right.axhline(0, color="black", lw=0.8)
-    right.set(xlabel="recall", ylabel="precision, points of 100", xlim=(0, 1), title="FSH3D − ESH")
+    right.set(xlabel="recall", ylabel="difference of precision, percentage points", xlim=(0, 1), title="FSH3D − ESH")
     widest = max(1.0, 1.1 * max(abs(value) for value in right.get_ylim()))
     right.set_ylim(-widest, widest)
     left.legend(fontsize=8)

@@ -55,7 +55,9 @@ def main() -> None:
         axes.semilogy(np.arange(1, RUNS + 1), values, ".-", label=name)
     axes.set(xlabel="run", ylabel="relative RMS error of coefficients", title="32 degrees: inverse, then forward")
     axes.set_xlim(0.5, RUNS + 0.5)
-    axes.legend(fontsize=8, loc="center right", bbox_to_anchor=(1, 0.4))
+    axes.legend(
+        fontsize=8, loc="center right", bbox_to_anchor=(1, 0.4), title="grid, points, weights", title_fontsize=8
+    )
     save_figure(options.output, "fig8_round_trip", figure)
     save_results(options.output, "fig8_round_trip", results)
 

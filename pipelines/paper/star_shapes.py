@@ -82,13 +82,20 @@ class Subject:
 
     def __init__(self, mesh: MeshArrays, center: np.ndarray, points: int, *, clouds: bool) -> None:
         self.mesh = MeshArrays((mesh.vertices - center) / mesh.diagonal, mesh.triangles)
-        self.volume = enclosed_volume(self.mesh)
+        self.volume = self._volume()
         self.points = PointArrays(area_samples(self.mesh, points)[0])
         self.cloud: tuple[cKDTree, np.ndarray] | None = None
         if clouds:
             cloud = area_samples(self.mesh, CLOUD)[0]
             size = np.linalg.norm(cloud, axis=1)
             self.cloud = cKDTree(cloud / size[:, None]), size
+
+    def _volume(self) -> float | None:
+        """Return the enclosed volume; None: that of what is seen from outside is another, or there is none."""
+        directions = fsh.fibonacci_grid(20_000).directions
+        radii = sample_radial(self.mesh, directions, ORIGIN, behaviour="outermost", fillable=1).radii
+        outside, inside = 4 / 3 * np.pi * float(np.mean(radii**3)), enclosed_volume(self.mesh)
+        return inside if inside is not None and abs(inside / outside - 1) < 0.05 else None
 
     def radii(self, directions: np.ndarray) -> np.ndarray:
         """Return distances along directions, by rays or from the cloud."""
@@ -106,7 +113,7 @@ class Subject:
         return np.asarray(fsh.rotate_coefficients(found, turn.T))
 
     def errors(self, coefficients: np.ndarray) -> tuple[float, float, float]:
-        """Return RMSE, MAE and volume error of a reconstruction; nan: the mesh encloses no volume."""
+        """Return RMSE, MAE and volume error of a reconstruction; nan: it is not known what volume the mesh has."""
         shape = decoded(coefficients)
         there = fsh.vertex_distances(shape, self.mesh)
         back = fsh.vertex_distances(self.points, shape)
@@ -165,6 +172,8 @@ def measure(task: Task) -> tuple[str, dict[str, np.ndarray], dict[int, float]] |
 
 def intervals(values: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the means of (shapes, k) and 2000 bootstrap draws of them: whole shapes, so that columns stay paired."""
+    if not len(values):  # no volume of any shape is known
+        return np.full(values.shape[1], np.nan), np.full((1, values.shape[1]), np.nan)
     draws = np.random.default_rng(seed).integers(0, len(values), (2000, len(values)))
     return values.mean(axis=0), values[draws].mean(axis=1)
 
@@ -197,7 +206,8 @@ def table_1(found: dict[str, dict[str, np.ndarray]], b: int, seed: int) -> dict[
                 results[metric][f"{METHODS[0]} over {method}"] = {"ratio": ratio, "interval": [low, high]}
                 cells.append(f"{ratio:.1f} ({low:.1f}-{high:.1f})")
         rows.append((metric, *cells))
-    print(f"\nTable 1: mean |G1 - G2| x 1e3 and ESH over each, {len(found)} shapes, b = {b}")
+    closed = results["VE"]["shapes"]
+    print(f"\nTable 1: mean |G1 - G2| x 1e3 and ESH over each, {len(found)} shapes (VE: {closed}), b = {b}")
     print(table(("", *METHODS, *(f"ESH / {method}" for method in METHODS[1:])), rows))
     return results
 
@@ -256,7 +266,7 @@ def picture(body: Subject, name: str, b: int, output: tuple[Path, str]) -> None:
         axes.set_axis_off()
         axes.set_title(f"{title}\nmean deviation {values.mean():.2f}", fontsize=10)
     scale = plt.cm.ScalarMappable(plt.Normalize(0, top), "viridis")
-    figure.colorbar(scale, ax=places, shrink=0.8, label="deviation · 1000 / diagonal")
+    figure.colorbar(scale, ax=places, shrink=0.8, label="deviation, thousandths of the diagonal", extend="max")
     figure.suptitle(f"{name}, {b} degrees")
     save_figure(output[0], f"fig9_deviation{output[1]}", figure)
 
@@ -267,15 +277,23 @@ def _limits(values: np.ndarray) -> tuple[float, float]:
 
 
 def chart(results: dict[str, dict[str, Any]], output: tuple[Path, str]) -> None:
-    """Draw Table 1 as bars with their intervals."""
+    """Draw Table 1 with its intervals."""
     figure, panels = plt.subplots(1, 3, figsize=(12, 3.6))
     for axes, metric in zip(panels, METRICS, strict=True):
         means = np.array([1e3 * results[metric][method]["mean"] for method in METHODS])
         limits = np.array([results[metric][method]["interval"] for method in METHODS]).T * 1e3
-        axes.bar(METHODS, means, yerr=np.abs(limits - means), color=["#b5533c", *["#1f5fa8"] * 3], capsize=3)
+        # Points, since a bar has no foot on a logarithmic axis.
+        for place, color in enumerate(("#b5533c", *["#1f5fa8"] * 3)):
+            reach = np.abs(limits[:, [place]] - means[place])
+            axes.errorbar(place, means[place], yerr=reach, fmt="o", color=color, ecolor=color, capsize=4)
         axes.set_yscale("log")
         axes.set_title(f"|{metric}(G1) − {metric}(G2)| · 1000", fontsize=10)
-        axes.tick_params(axis="x", labelsize=8)
+        axes.set_xticks(range(len(METHODS)), METHODS, fontsize=8)
+        axes.set_xlim(-0.5, len(METHODS) - 0.5)
+        if not results[metric]["shapes"]:
+            axes.text(0.5, 0.5, "of no shape known", transform=axes.transAxes, ha="center")
+        axes.grid(axis="y", alpha=0.3)
+    panels[0].set_ylabel("mean over shapes, 95 % interval")
     figure.tight_layout()
     save_figure(output[0], f"table1{output[1]}", figure)
 
@@ -302,7 +320,7 @@ def main() -> None:
     with ProcessPoolExecutor(options.workers, initializer=_single_threaded) as pool:
         done = [result for result in pool.map(measure, tasks) if result is not None]
     if not done:
-        raise SystemExit(f"no star-shaped mesh below {options.shapes}")
+        raise ValueError(f"no star-shaped mesh below {options.shapes}")
     found = {name: errors for name, errors, _ in done}
     spent = {b: sum(seconds[b] for _, _, seconds in done) for b in bandwidths}
     results = {

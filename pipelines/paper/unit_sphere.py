@@ -64,12 +64,12 @@ def main() -> None:
                 )
                 title = f"{name} weights, n = {count}: error of r = 1, times 1e{-power}"
                 panels[0, place].set_title(title, fontsize=10)
-                panels[0, place].set(xlabel="longitude", xticks=range(0, 361, 90), yticks=range(0, 181, 45))
+                panels[0, place].set(xlabel="longitude, °", xticks=range(0, 361, 90), yticks=range(0, 181, 45))
                 figure.colorbar(image, ax=panels[0, place])
                 degree = fsh.degrees_and_orders(2 * b)[0]
                 panels[1, place].semilogy(degree, np.maximum(np.abs(sums), 1e-18), ".", ms=2, color="#1f5fa8")
                 panels[1, place].set(xlabel="degree l", ylabel="|ŝ(l, m) − δ|", ylim=(1e-18, 1))
-    panels[0, 0].set_ylabel("colatitude")
+    panels[0, 0].set_ylabel("colatitude, °")
     figure.tight_layout()
     print(table(("degrees 0 ... 31", "error RMS", "error max", "deviation from Eq. (8)"), rows))
     save_figure(options.output, "fig6_fig7_unit_sphere", figure)

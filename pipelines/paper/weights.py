@@ -78,12 +78,14 @@ def main() -> None:
             ("  residual of area weights, 6b^2 Fibonacci points", spectrum(fibonacci, area, b)),
         ]
         for axes, grid, weights, title in (
-            (line[0], equiangular, closed, "Driscoll-Healy, equiangular"),
-            (line[1], fibonacci, own.weights, "analytic, Fibonacci"),
-            (line[2], fibonacci, area, "area, Fibonacci"),
+            (line[0], equiangular, closed, "equiangular grid, Driscoll-Healy"),
+            (line[1], fibonacci, own.weights, "Fibonacci grid, analytic"),
+            (line[2], fibonacci, area, "Fibonacci grid, area"),
         ):
             axes.plot(grid.directions[:, 2], weights * len(grid) / (4 * np.pi), ".", ms=2, mew=0, color="#1f5fa8")
-            axes.set(title=f"{title}, b = {b}", xlabel="z", ylabel="weight · n / 4π")
+            axes.set(
+                title=f"{title} weights, b = {b}", xlabel="z", ylabel="weight · n / 4π", xticks=(-1, -0.5, 0, 0.5, 1)
+            )
         for axes in line[1:]:
             axes.set_ylim(0.9, 1.12)
     figure.tight_layout()
