@@ -69,7 +69,7 @@ def _case(bases: list[ShapeSignature], count: int, queries: int) -> Row:
     random = np.random.default_rng(count)
     with tempfile.TemporaryDirectory() as folder:
         store = IndexStore.open(os.path.join(folder, "index"), _OPTION)  # noqa: PTH118 - text, as it is stored
-        probes = [Query.of(signature) for signature in _mixtures(bases, queries, random)]
+        probes = [Query.of(signature, store.basis) for signature in _mixtures(bases, queries, random)]
         nearest = np.full((queries, _TOP), np.inf)
         written = 0.0
         for start in range(0, count, _BATCH):
@@ -77,7 +77,7 @@ def _case(bases: list[ShapeSignature], count: int, queries: int) -> Row:
             found = [Described(FileState(0, 0), bytes(32), signature) for signature in mixed]
             names = [f"/library/model-{start + k}.off" for k in range(len(found))]
             begin = time.perf_counter()
-            store.put(store.models, model_columns(names, found, _OPTION))
+            store.put(store.models, model_columns(names, found, _OPTION, store.basis))
             written += time.perf_counter() - begin
             # The truth is found on the way: all rows at once would not fit into memory.
             stored = decoded(*encoded(np.stack([signature.feature for signature in mixed])))

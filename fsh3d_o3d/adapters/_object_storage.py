@@ -56,11 +56,13 @@ def absolute(path: str | os.PathLike[str]) -> str:
     Bytes of a file's name that are not UTF-8 come as surrogates (``os.fsdecode``).
 
     Raises:
-        ValueError: It is of a kind of storage that is not known.
+        ValueError: It is of a kind of storage that is not known, or no longer its name.
     """
     name = os.fsdecode(path)
     found = _URI.fullmatch(name)
     if found is None:
+        if isinstance(path, os.PathLike) and name.startswith(tuple(f"{scheme}:/" for scheme in SCHEMES)):
+            raise ValueError(f"{name}: give the name as text, because pathlib has taken away a slash")
         return os.path.abspath(name)  # noqa: PTH100 - pathlib has nothing for names that are not UTF-8
     scheme, rest = found.group(1).lower(), found.group(2).rstrip("/")
     if scheme not in SCHEMES:
@@ -224,6 +226,4 @@ def _storage_errors(uri: str) -> Iterator[None]:
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), uri) from None
     except (OSError, ValueError) as error:
         text = " ".join(str(error).split())
-        if isinstance(error, ValueError) and "memory" in text.lower():
-            raise
         raise (storage_error(uri, text) or OSError(errno.EIO, text[:300], uri)) from None

@@ -3,18 +3,16 @@
 A number x is stored as the nearest multiple of a common step to sign(x)·√|x|: small numbers, of which descriptors have
 most, keep more digits than large ones. What that costs in retrieval is measured in ``docs/library.md``.
 
-A sketch is a projection of the signed roots onto fixed random signs. By Johnson and Lindenstrauss (1984; signs:
-Achlioptas 2003) it keeps Euclidean distances to 1/√128 or so, and
+A sketch is a projection onto few orthogonal directions (``_sketch_basis``) that keep most of what tells shapes apart.
+Sketches of features find candidates. Sketches of their signed roots exclude: a projection makes no distance longer, and
 
     Σ(√a − √b)² ≤ 2 Σ|a − b|    (with signs; without the 2 where they agree),
 
-so that near in L1 is near in the sketch. It does not depend on the rows of an index: new rows need no training.
+so that what is near in L1 is near in the sketches of roots, without exception.
 """
 
 from __future__ import annotations
 
-import functools
-import hashlib
 from typing import Any
 
 import numpy as np
@@ -27,7 +25,7 @@ ALIGNED_DEGREES = 8
 SKETCH_LENGTH = 128
 """Numbers in a sketch."""
 _LARGEST = 127  # of an int8
-_BLOCK = 256  # rows that are decoded at once: their float32 fit the cache
+_BLOCK = 64  # rows that are decoded at once: their float32 fit the cache
 
 
 def encoded(vectors: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
@@ -49,10 +47,25 @@ def decoded(codes: NDArray[np.int8], steps: NDArray[np.float32]) -> NDArray[np.f
     return result
 
 
-def sketches(codes: NDArray[np.int8], steps: NDArray[np.float32]) -> NDArray[np.float16]:
-    """Return sketches (n, SKETCH_LENGTH); the squared distance of two is about that of the signed roots."""
-    roots = codes.astype(np.float32) * steps[:, None]
-    return (roots @ _signs(codes.shape[1])).astype(np.float16)
+def sketches(vectors: NDArray[np.float32], basis: NDArray[np.float16]) -> NDArray[np.float16]:
+    """Return sketches (n, SKETCH_LENGTH) of vectors (n, d); ``basis`` (d, SKETCH_LENGTH)."""
+    largest = np.finfo(np.float16).max
+    # Products of a row may depend on how many rows there are, but in float64 not before the digits that are cut off.
+    product = vectors.astype(np.float64) @ basis.astype(np.float64)
+    return np.clip(product, -largest, largest).astype(np.float16)
+
+
+def shortened(vectors: NDArray[np.float32], basis: NDArray[np.float16]) -> NDArray[np.float32]:
+    """Return sketches (n, SKETCH_LENGTH) float32, no two of which are further apart than the vectors are."""
+    directions = basis.astype(np.float32)
+    # Orthogonal but for their rounding: 128 columns, each by less than 2⁻¹¹ of its length, make √128 · 2⁻¹¹ < 0.01.
+    directions /= np.linalg.norm(directions, axis=0).max() * np.float32(1.01)
+    return np.asarray(vectors @ directions)
+
+
+def signed_roots(codes: NDArray[np.int8], steps: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return sign(x)·√|x| (n, d) of what codes and steps stand for."""
+    return codes.astype(np.float32) * steps[:, None]
 
 
 def signature_type(option: SHDOption) -> np.dtype[Any]:
@@ -74,11 +87,3 @@ def signature_type(option: SHDOption) -> np.dtype[Any]:
 def functions_of(option: SHDOption) -> int:
     """Return the number R of functions on the sphere behind a feature."""
     return len(option.frames) * option.shell_fields.count * option.rows
-
-
-@functools.lru_cache(maxsize=4)
-def _signs(length: int) -> NDArray[np.float32]:
-    """(length, SKETCH_LENGTH) of ±1/√SKETCH_LENGTH from a hash function, which no library's next version changes."""
-    stream = hashlib.shake_128(b"fsh3d_o3d sketch 1").digest(length * SKETCH_LENGTH // 8)
-    bits = np.unpackbits(np.frombuffer(stream, dtype=np.uint8)).reshape(length, SKETCH_LENGTH)
-    return (2 * bits.astype(np.float32) - 1) / np.float32(np.sqrt(SKETCH_LENGTH))

@@ -152,7 +152,7 @@ class Filling:
         new = [(path, found) for path, found in self._described if found.signature is not None]
         if new:
             paths, found = zip(*new, strict=True)
-            self.store.put(self.store.models, model_columns(paths, found, self.option))
+            self.store.put(self.store.models, model_columns(paths, found, self.option, self.store.basis))
         moved = [(path, found) for path, found in self._described if found.signature is None]
         if moved:
             paths, found = zip(*moved, strict=True)

@@ -33,13 +33,13 @@ class Query:
     """(13,): centroid, RMS radius, principal axes."""
 
     @classmethod
-    def of(cls, signature: ShapeSignature) -> Query:
-        """Return what is compared of a signature."""
-        codes, steps = encoded(signature.feature[None])
+    def of(cls, signature: ShapeSignature, basis: NDArray[np.float16]) -> Query:
+        """Return what is compared of a signature; ``basis`` is the index's, of its sketches."""
+        feature = decoded(*encoded(signature.feature[None]))
         low = encoded(signature.coefficients.reshape(1, -1))
         return cls(
-            feature=decoded(codes, steps)[0],
-            sketch=sketches(codes, steps)[0].astype(np.float32),
+            feature=feature[0],
+            sketch=sketches(feature, basis)[0].astype(np.float32),
             coefficients=decoded(*low).reshape(signature.coefficients.shape),
             frame=frame_numbers(signature),
         )
@@ -77,8 +77,10 @@ class StoredRows:
         return np.array(self.numbers["frame"])
 
 
-def model_columns(paths: Sequence[str], found: Sequence[Described], option: SHDOption) -> dict[str, Any]:
-    """Return the columns of files that were described."""
+def model_columns(
+    paths: Sequence[str], found: Sequence[Described], option: SHDOption, basis: NDArray[np.float16]
+) -> dict[str, Any]:
+    """Return the columns of files that were described; ``basis`` is the index's, of its sketches."""
     own = [one.signature for one in found if one.signature is not None]
     rows = np.zeros(len(own), dtype=signature_type(option))
     rows["frame"] = np.stack([frame_numbers(one) for one in own])
@@ -96,7 +98,7 @@ def model_columns(paths: Sequence[str], found: Sequence[Described], option: SHDO
         "watertight": [one.watertight for one in found],
         "option": [option.fingerprint] * len(found),
         "signature": [row.tobytes() for row in rows],
-        "sketch": fixed_lists(sketches(rows["feature"], rows["feature_step"])),
+        "sketch": fixed_lists(sketches(decoded(rows["feature"], rows["feature_step"]), basis)),
         "thumbnail": [one.thumbnail for one in found],
     }
 

@@ -13,9 +13,10 @@ from scipy.spatial.distance import cdist
 
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.descriptors import SHDOption
+from fsh3d_o3d.retrieval._index_codec import SKETCH_LENGTH, shortened, signed_roots
 from fsh3d_o3d.retrieval._index_errors import translated
 from fsh3d_o3d.retrieval._index_rows import Query, StoredRows, stored_rows
-from fsh3d_o3d.retrieval._index_store import IndexStore, vectors
+from fsh3d_o3d.retrieval._index_store import IndexStore
 
 EXACT_BELOW = 5_000
 """Rows below which a query is compared with all of them; see ``docs/library.md``."""
@@ -26,8 +27,8 @@ _LEAST_CANDIDATES = 320
 _REINDEX = 0.2  # of the rows, new since the inverted file was made, are too many
 _BLOCK = 512
 _DECODED = 64  # rows
-_PAIRS_A_BLOCK = 2048
-_SLACK = 1.6  # four standard deviations of a squared sketch distance
+_PAIRS_A_BLOCK = 2**26
+_ROUNDING = 1.001  # of sums in float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,18 +90,26 @@ class IndexSearch:
     def close_pairs(self, limit: float) -> Iterator[tuple[int, int, float]]:
         """Yield pairs of ``_rowid`` whose features are at most ``limit`` apart, and how far they are."""
         self._store.newest()
-        table = self._store.columns(self._store.models, ["sketch"])
-        rows, sketch = table["_rowid"].to_numpy(), vectors(table["sketch"], np.float32)
+        found = [self._sketched(table) for table in self._store.batches(["signature"])]
+        rows = np.concatenate([np.empty(0, np.int64), *(part for part, _ in found)])
+        sketch = np.concatenate([np.empty((0, SKETCH_LENGTH), np.float32), *(part for _, part in found)])
         norm = np.square(sketch).sum(axis=1)
-        # Signed roots of rows this close in L1 are at most that far apart; in L2, all may have to be looked at.
-        bound = np.float32(2 * limit * _SLACK if self._l1 else np.inf)
-        for start in range(0, len(rows), _PAIRS_A_BLOCK):
-            part = slice(start, start + _PAIRS_A_BLOCK)
+        # No two rows this close are further apart in their sketches.
+        bound = np.float32((2 * limit if self._l1 else limit * limit) * _ROUNDING) + 1e-5 * norm.max(initial=0)
+        step = max(1, _PAIRS_A_BLOCK // max(1, len(rows)))
+        for start in range(0, len(rows), step):
+            part = slice(start, start + step)
             squared = norm[part, None] + norm[None, start:] - 2 * (sketch[part] @ sketch[start:].T)
             left, right = np.nonzero(np.triu(squared <= bound, k=1))
             for begin in range(0, len(left), _BLOCK):
                 some = slice(begin, begin + _BLOCK)
                 yield from self._compared(rows[left[some] + start], rows[right[some] + start], limit)
+
+    def _sketched(self, table: Any) -> tuple[IntArray, NDArray[np.float32]]:
+        """``_rowid`` and sketches that exclude: of the roots, or in L2 of the features themselves."""
+        stored = self._read(table)
+        long = signed_roots(stored.numbers["feature"], stored.numbers["feature_step"]) if self._l1 else stored.features
+        return table["_rowid"].to_numpy().astype(np.int64), shortened(long, self._store.basis)
 
     def _compared(self, left: IntArray, right: IntArray, limit: float) -> Iterator[tuple[int, int, float]]:
         needed, place = np.unique(np.concatenate((left, right)), return_inverse=True)

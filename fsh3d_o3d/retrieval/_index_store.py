@@ -1,4 +1,4 @@
-"""The tables of an index on disk: two of Lance, ``models`` and ``failures``, one row a file (private).
+"""The tables of an index, of Lance: ``models`` and ``failures``, one row a file, and ``basis`` (private).
 
 Lance writes each change as new files and a manifest that is put in place last, so that an index is at every moment in
 the state before or after a change. ``path`` is its unenforced primary key: with it, and only with it, two writers that
@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 import functools
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,25 +20,30 @@ from fsh3d_o3d.adapters._object_storage import folder_names, is_uri, lance_optio
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.retrieval._index_codec import SKETCH_LENGTH, signature_type
 from fsh3d_o3d.retrieval._index_errors import ShapeIndexError, translated
+from fsh3d_o3d.retrieval._sketch_basis import sketch_basis
 
-FORMAT = 1
+FORMAT = 2
 """Version of the tables; raised whenever older code would misread them."""
 _KEY = {"lance-schema:unenforced-primary-key": "true"}
 _ATTEMPTS = 20  # to write while others do
 _PATHS_A_QUERY = 500
+_ROWS_A_BATCH = 4096
+_MADE_FIRST = {"failures.lance", "basis.lance"}
 _SMALL_FRAGMENTS = 48  # that are put together; fewer do no harm
 
 
 class IndexStore:
     """The tables of one index, opened. What it returns are Arrow tables and NumPy arrays."""
 
-    def __init__(self, path: str, models: Any, failures: Any) -> None:
+    def __init__(self, path: str, models: Any, failures: Any, basis: NDArray[np.float16]) -> None:
         self.path = path
         """Where it is."""
         self.models = models
         """Lance's table of what was described."""
         self.failures = failures
         """Lance's table of what was not."""
+        self.basis = basis
+        """(d, SKETCH_LENGTH): what sketches are made with."""
         self.metadata = {key.decode(): value.decode() for key, value in (models.schema.metadata or {}).items()}
         """What the tables were made with: ``format``, ``option``, each after ``fsh3d.``."""
 
@@ -57,14 +62,15 @@ class IndexStore:
             if names is not None:
                 raise ShapeIndexError(f"{path}: this folder is no index")
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)
-        if not there and not (names or set()) <= {"failures.lance"}:  # of an index whose making was interrupted
+        if not there and not (names or set()) <= _MADE_FIRST:  # of an index whose making was interrupted
             raise ShapeIndexError(f"{path}: there is something else here, and no index is made over it")
         with translated(path, "opening it"):
             database = _lancedb().connect(path, storage_options=lance_options(path))
             if not there and option is not None:
-                # Failures first: where there are models, there is all.
-                for name, schema in (("failures", _failure_schema()), ("models", _model_schema(option))):
-                    database.create_table(name, schema=schema, exist_ok=True)
+                # Models last: where they are, there is all.
+                database.create_table("basis", _basis_table(sketch_basis(option)), exist_ok=True)
+                database.create_table("failures", schema=_failure_schema(), exist_ok=True)
+                database.create_table("models", schema=_model_schema(option), exist_ok=True)
             models = database.open_table("models")
             store_format = (models.schema.metadata or {}).get(b"fsh3d.format", b"").decode()
             if store_format.isdigit() and int(store_format) > FORMAT:
@@ -72,9 +78,15 @@ class IndexStore:
                     f"{path}: the index has format {store_format}, made by a newer version of fsh3d_o3d; "
                     f"this one reads up to {FORMAT}"
                 )
+            if store_format.isdigit() and int(store_format) < FORMAT:
+                raise ShapeIndexError(
+                    f"{path}: the index has format {store_format}, made by an older version of fsh3d_o3d; "
+                    "index the library anew"
+                )
             if store_format != str(FORMAT):
                 raise ShapeIndexError(f"{path}: this folder is no index of fsh3d_o3d")
-            return cls(path, models, database.open_table("failures"))
+            basis = database.open_table("basis").search().limit(SKETCH_LENGTH).to_arrow().sort_by("number")
+            return cls(path, models, database.open_table("failures"), vectors(basis["direction"], np.float16).T)
 
     def refresh(self) -> int:
         """See what others have written meanwhile; returns the version of the models."""
@@ -106,6 +118,15 @@ class IndexStore:
         """Return the number of models."""
         with translated(self.path, "reading it"):
             return int(self.models.count_rows())
+
+    def batches(self, names: Sequence[str]) -> Iterator[Any]:
+        """Yield some columns of all models, and ``_rowid``, as Arrow tables of some thousand rows."""
+        import pyarrow as pa
+
+        with translated(self.path, "reading it"):
+            search = self.models.search().select(list(names)).with_row_id(True).limit(self.models.count_rows() or 1)
+            for batch in search.to_batches(batch_size=_ROWS_A_BATCH):
+                yield pa.Table.from_batches([batch])
 
     def columns(self, table: Any, names: Sequence[str]) -> Any:
         """Return some columns of all rows, and ``_rowid``, as an Arrow table."""
@@ -154,6 +175,12 @@ class IndexStore:
                     _retried(table, functools.partial(table.optimize, cleanup_older_than=timedelta(hours=1)))
 
 
+def _basis_table(basis: NDArray[np.float16]) -> Any:
+    import pyarrow as pa
+
+    return pa.table({"number": pa.array(range(basis.shape[1]), pa.int32()), "direction": fixed_lists(basis.T)})
+
+
 def vectors(column: Any, dtype: Any) -> NDArray[Any]:
     """Return a column of fixed-size lists (n, k), of an Arrow table, as an array."""
     length = column.type.list_size
@@ -194,6 +221,8 @@ def _is_one_of(column: str, values: Sequence[bytes]) -> str:
 
 
 def _lancedb() -> Any:
+    # Its notes on partitions that stay empty are of no use to who indexes a library.
+    os.environ.setdefault("LANCE_LOG", "error")
     import lancedb  # takes a second or more
 
     return lancedb

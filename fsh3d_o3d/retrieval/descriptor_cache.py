@@ -77,8 +77,12 @@ def descriptor_key(path: str | os.PathLike[str], fingerprint: str) -> bytes | No
                 digest.update(chunk)
     except OSError:
         return None
-    parts = [digest.digest(), os.fsencode(Path(path).suffix.lower()), fingerprint.encode(), _code_digest()]
-    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).digest()
+    return key_of(digest.digest(), os.fsencode(Path(path).suffix.lower()), fingerprint.encode())
+
+
+def key_of(*parts: bytes) -> bytes:
+    """A key made of what a value depends on, and of this package's code."""
+    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in (*parts, _code_digest()))).digest()
 
 
 @functools.cache

@@ -240,7 +240,7 @@ class ShapeIndex:
             geometry = read_geometry_arrays(os.fsdecode(geometry_or_path))
         else:
             geometry = geometry_arrays(geometry_or_path)[0]
-        query = Query.of(describe(geometry, self._option))
+        query = Query.of(describe(geometry, self._option), self._store.basis)
         candidates = self._search.nearest(query, max(top, rerank) if rerank else top)
         if len(candidates.rows) == 0:
             return ()
@@ -252,8 +252,8 @@ class ShapeIndex:
     def near_duplicates(self, limit: float = 0.05) -> tuple[NearDuplicate, ...]:
         """Return the pairs of models whose features are at most ``limit`` apart, closest first.
 
-        All pairs are compared by their sketches, which takes a minute or so for 10⁵ models, and four times as long for
-        twice as many.
+        All pairs are compared by short sketches, which lose none that is this near. That takes a minute or so for 10⁵
+        models, and four times as long for twice as many.
         """
         limit = check.number(limit, "limit", minimum=0, maximum=2)
         pairs = list(self._search.close_pairs(limit))

@@ -6,8 +6,9 @@ import hypothesis.extra.numpy as arrays
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.distance import pdist
 
-from fsh3d_o3d.retrieval._index_codec import SKETCH_LENGTH, decoded, encoded, sketches
+from fsh3d_o3d.retrieval._index_codec import SKETCH_LENGTH, decoded, encoded, shortened, signed_roots, sketches
 
 VECTORS = arrays.arrays(np.float32, (3, 40), elements=st.floats(-100, 100, width=32))
 
@@ -32,29 +33,38 @@ def test_stored_vectors_are_stored_as_they_are(vectors):
 def test_zeros_stay_zeros():
     codes, steps = encoded(np.zeros((2, 8), dtype=np.float32))
     assert not decoded(codes, steps).any()
-    assert not sketches(codes, steps).any()
 
 
-def test_sketches_keep_distances_of_roots(rng):
-    vectors = rng.standard_normal((60, 600)).astype(np.float32) ** 3
-    codes, steps = encoded(vectors)
-    roots = codes.astype(np.float64) * steps[:, None]
-    short = sketches(codes, steps).astype(np.float64)
-    assert short.shape == (60, SKETCH_LENGTH)
-    true = np.square(roots[:30] - roots[30:]).sum(axis=1)
-    ratio = np.square(short[:30] - short[30:]).sum(axis=1) / true
-    # The ratio's standard deviation is √(2/128) = 0.125: five of them.
-    assert np.abs(ratio - 1).max() < 0.63
-    assert abs(ratio.mean() - 1) < 5 * 0.125 / np.sqrt(30)
+def orthogonal(rng, length: int) -> np.ndarray:
+    basis = np.linalg.qr(rng.standard_normal((length, SKETCH_LENGTH)))[0]
+    return (64 * basis).astype(np.float16)
 
 
-def test_signs_are_the_same_everywhere():
-    one = np.zeros((1, 3600), dtype=np.int8)
-    one[0, 0] = 1
-    row = sketches(one, np.ones(1, dtype=np.float32))[0].astype(np.float64)
-    # The first bytes of the hash stream, as hashlib gives them: stored sketches would be lost if they changed.
-    assert "".join("1" if value > 0 else "0" for value in row[:16]) == FIRST_BITS
-    np.testing.assert_allclose(np.abs(row), 1 / np.sqrt(SKETCH_LENGTH), rtol=1e-3)  # float16
+def test_sketches_are_projections(rng):
+    vectors = rng.standard_normal((5, 600)).astype(np.float32)
+    basis = orthogonal(rng, 600)
+    short = sketches(vectors, basis)
+    assert (short.dtype, short.shape) == (np.float16, (5, SKETCH_LENGTH))
+    np.testing.assert_allclose(short, vectors.astype(np.float64) @ basis, rtol=1e-3, atol=1e-2)  # float16
+    assert np.isfinite(sketches(1e6 * vectors, basis)).all()
 
 
-FIRST_BITS = "0000011110101100"
+def test_no_two_are_further_apart_in_short(rng):
+    """Vectors within the basis' own span are the hardest: a projection takes nothing from them."""
+    basis = orthogonal(rng, 600)
+    inside = basis.astype(np.float32) @ rng.standard_normal((SKETCH_LENGTH, 40)).astype(np.float32)
+    vectors = np.concatenate((inside.T, rng.standard_normal((40, 600)).astype(np.float32)))
+    short = shortened(vectors, basis)
+    distances = pdist(vectors.astype(np.float64))
+    assert (pdist(short.astype(np.float64)) <= distances).all()
+    assert pdist(short.astype(np.float64)).max() > 0.97 * distances.max()
+
+
+@given(VECTORS)
+def test_near_is_near_in_roots(vectors):
+    """The inequality on which the search for near duplicates rests."""
+    roots = signed_roots(*encoded(vectors)).astype(np.float64)
+    values = roots * np.abs(roots)
+    for one, other in ((0, 1), (0, 2), (1, 2)):
+        apart = np.square(roots[one] - roots[other]).sum()
+        assert apart <= 2 * np.abs(values[one] - values[other]).sum() * (1 + 1e-12)

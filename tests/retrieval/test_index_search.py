@@ -36,13 +36,13 @@ def variants(count, seed):
 def store(tmp_path_factory):
     found = [Described(FileState(1, 1), bytes(32), signature) for signature in variants(1500, 1)]
     store = IndexStore.open(str(tmp_path_factory.mktemp("store") / "index"), QUICK)
-    store.put(store.models, model_columns([f"/{n}" for n in range(1500)], found, QUICK))
+    store.put(store.models, model_columns([f"/{n}" for n in range(1500)], found, QUICK, store.basis))
     return store
 
 
 def test_inverted_file_finds_the_same(store):
     exact, inverted = IndexSearch(store, QUICK), IndexSearch(store, QUICK, exact_below=100)
-    queries = [Query.of(signature) for signature in variants(20, 2)]
+    queries = [Query.of(signature, store.basis) for signature in variants(20, 2)]
     expected = [exact.nearest(query, 10) for query in queries]
     recall = []
     for indexed in (False, True):

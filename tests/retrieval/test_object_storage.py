@@ -287,6 +287,8 @@ def test_names_that_are_refused(name, capsys):
 def test_names():
     assert storage.absolute("S3://Bucket/a%20b/") == "s3://Bucket/a%20b"
     assert storage.absolute(os.fsencode("x/ü\udcff")) == os.path.abspath("x/ü\udcff")  # noqa: PTH100 - as it does
+    with pytest.raises(ValueError, match="as text"):
+        storage.absolute(Path("s3://bucket/key"))
     assert not storage.is_uri("C:/file") and not storage.is_uri("/a://b")
 
 

@@ -220,6 +220,14 @@ def test_newer_format(tmp_path, monkeypatch):
         ShapeIndex.open(tmp_path / "index")
 
 
+def test_older_format(tmp_path, monkeypatch):
+    monkeypatch.setattr(_index_store, "FORMAT", 1)
+    ShapeIndex.open(tmp_path / "index", create=True)
+    monkeypatch.undo()
+    with pytest.raises(ShapeIndexError, match=r"format 1, made by an older version.* index the library anew"):
+        ShapeIndex.open(tmp_path / "index")
+
+
 def damage_manifests(index):
     for manifest in index.glob("models.lance/_versions/*.manifest"):
         manifest.write_bytes(b"garbage" * 20)
