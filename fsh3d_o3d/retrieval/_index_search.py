@@ -13,7 +13,7 @@ from scipy.spatial.distance import cdist
 
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.descriptors import SHDOption
-from fsh3d_o3d.retrieval._index_codec import SKETCH_LENGTH, shortened, signed_roots
+from fsh3d_o3d.retrieval._index_codec import shortened, signed_roots
 from fsh3d_o3d.retrieval._index_errors import translated
 from fsh3d_o3d.retrieval._index_rows import Query, StoredRows, stored_rows
 from fsh3d_o3d.retrieval._index_store import IndexStore
@@ -23,11 +23,12 @@ EXACT_BELOW = 5_000
 _ROWS_A_PARTITION = 400
 _PROBES = 16  # partitions that are looked into
 _SPARE = 2  # sketches' candidates for each row that is wanted
-_LEAST_CANDIDATES = 320
+_LEAST_CANDIDATES = 256
+_CANDIDATES_A_ROOT = 0.8  # times √(rows): where there are more rows, more of them are alike
 _REINDEX = 0.2  # of the rows, new since the inverted file was made, are too many
 _BLOCK = 512
 _DECODED = 64  # rows
-_PAIRS_A_BLOCK = 2**26
+_PAIRS_A_BLOCK = 2**24
 _ROUNDING = 1.001  # of sums in float32
 
 
@@ -64,7 +65,7 @@ class IndexSearch:
             rows, found, features = self._everything(version)
             distances = self._distances(query.feature, features)
         else:
-            rows, found = self._near(query, max(_LEAST_CANDIDATES, _SPARE * count))
+            rows, found = self._near(query, self._candidates(count))
             # Block by block: decoded all at once they would not fit the cache.
             parts = (found[start : start + _DECODED] for start in range(0, len(found), _DECODED))
             distances = np.concatenate([np.empty(0), *(self._distances(query.feature, p.features) for p in parts)])
@@ -89,10 +90,16 @@ class IndexSearch:
 
     def close_pairs(self, limit: float) -> Iterator[tuple[int, int, float]]:
         """Yield pairs of ``_rowid`` whose features are at most ``limit`` apart, and how far they are."""
-        self._store.newest()
-        found = [self._sketched(table) for table in self._store.batches(["signature"])]
-        rows = np.concatenate([np.empty(0, np.int64), *(part for part, _ in found)])
-        sketch = np.concatenate([np.empty((0, SKETCH_LENGTH), np.float32), *(part for _, part in found)])
+        version = self._store.newest()
+        features = None
+        if self._store.count() < self._exact_below:
+            rows, stored, features = self._everything(version)
+            found = [(rows, self._excluding(stored))]
+        else:
+            tables = self._store.batches(["signature"])
+            found = [(_identifiers(table), self._excluding(self._read(table))) for table in tables]
+        rows = np.concatenate([part for part, _ in found])
+        sketch = np.concatenate([part for _, part in found])
         norm = np.square(sketch).sum(axis=1)
         # No two rows this close are further apart in their sketches.
         bound = np.float32((2 * limit if self._l1 else limit * limit) * _ROUNDING) + 1e-5 * norm.max(initial=0)
@@ -102,29 +109,32 @@ class IndexSearch:
             squared = norm[part, None] + norm[None, start:] - 2 * (sketch[part] @ sketch[start:].T)
             left, right = np.nonzero(np.triu(squared <= bound, k=1))
             for begin in range(0, len(left), _BLOCK):
-                some = slice(begin, begin + _BLOCK)
-                yield from self._compared(rows[left[some] + start], rows[right[some] + start], limit)
+                one, two = left[begin : begin + _BLOCK] + start, right[begin : begin + _BLOCK] + start
+                distance = self._apart(one, two, rows, features)
+                for index in np.flatnonzero(distance <= limit):
+                    yield int(rows[one[index]]), int(rows[two[index]]), float(distance[index])
 
-    def _sketched(self, table: Any) -> tuple[IntArray, NDArray[np.float32]]:
-        """``_rowid`` and sketches that exclude: of the roots, or in L2 of the features themselves."""
-        stored = self._read(table)
+    def _excluding(self, stored: StoredRows) -> NDArray[np.float32]:
+        """Sketches that exclude: of the roots, or in L2 of the features themselves."""
         long = signed_roots(stored.numbers["feature"], stored.numbers["feature_step"]) if self._l1 else stored.features
-        return table["_rowid"].to_numpy().astype(np.int64), shortened(long, self._store.basis)
+        return shortened(long, self._store.basis)
 
-    def _compared(self, left: IntArray, right: IntArray, limit: float) -> Iterator[tuple[int, int, float]]:
-        needed, place = np.unique(np.concatenate((left, right)), return_inverse=True)
-        found = self._read(self._store.rows(needed, ["signature"])).features
-        one, two = found[place[: len(left)]], found[place[len(left) :]]
-        difference = np.abs(one - two)
-        distance = difference.sum(axis=1) if self._l1 else np.linalg.norm(difference, axis=1)
-        for index in np.flatnonzero(distance <= limit):
-            yield int(left[index]), int(right[index]), float(distance[index])
+    def _apart(
+        self, one: IntArray, two: IntArray, rows: IntArray, features: NDArray[np.float32] | None
+    ) -> NDArray[np.float32]:
+        """Distances of pairs of places among ``rows``; ``features`` are read where they are None."""
+        if features is None:
+            needed, place = np.unique(np.concatenate((one, two)), return_inverse=True)
+            features = self._read(self._store.rows(rows[needed], ["signature"])).features
+            one, two = place[: len(one)], place[len(one) :]
+        difference = np.abs(features[one] - features[two])
+        return np.asarray(difference.sum(axis=1) if self._l1 else np.linalg.norm(difference, axis=1))
 
     def _everything(self, version: int) -> tuple[IntArray, StoredRows, NDArray[np.float32]]:
         if self._all is None or self._all[0] != version:
             table = self._store.columns(self._store.models, ["signature"])
             found = self._read(table)
-            self._all = version, table["_rowid"].to_numpy().astype(np.int64), found, found.features
+            self._all = version, _identifiers(table), found, found.features
         return self._all[1:]
 
     def _near(self, query: Query, count: int) -> tuple[IntArray, StoredRows]:
@@ -133,8 +143,10 @@ class IndexSearch:
             search = self._store.models.search(query.sketch, vector_column_name="sketch").distance_type("l2")
             columns = ["signature", "_distance"]
             table: Any = search.nprobes(probes).limit(count).select(columns).with_row_id(True).to_arrow()
-        rows = table["_rowid"].to_numpy().astype(np.int64)
-        return rows, self._read(table)
+        return _identifiers(table), self._read(table)
+
+    def _candidates(self, count: int) -> int:
+        return max(_LEAST_CANDIDATES, _SPARE * count, int(_CANDIDATES_A_ROOT * math.sqrt(self._count)))
 
     def _read(self, table: Any) -> StoredRows:
         return stored_rows(table["signature"], self._option, self._store.path)
@@ -147,3 +159,7 @@ class IndexSearch:
             part = slice(start, start + _BLOCK)
             result[part] = np.abs(others[part] - query).sum(axis=1)
         return result
+
+
+def _identifiers(table: Any) -> IntArray:
+    return np.asarray(table["_rowid"].to_numpy(), dtype=np.int64)

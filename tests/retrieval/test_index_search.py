@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import pdist, squareform
 
 from fsh3d_o3d.adapters._surface_frame import surface_of
 from fsh3d_o3d.descriptors import ShapeSignature, compute_signature
@@ -56,6 +57,19 @@ def test_inverted_file_finds_the_same(store):
                 np.testing.assert_array_equal(found.distances, true.distances)
                 np.testing.assert_array_equal(found.stored.coefficients, true.stored.coefficients)
     assert np.mean(recall) >= 0.99
+
+
+@pytest.mark.parametrize("exact_below", [10**6, 100])
+def test_close_pairs_are_all_pairs_that_close(store, exact_below):
+    search = IndexSearch(store, QUICK, exact_below=exact_below)
+    rows, _, features = IndexSearch(store, QUICK)._everything(store.newest())
+    distances = squareform(pdist(features, "cityblock"))
+    limit = float(np.quantile(distances[distances > 0], 0.0005))
+    left, right = np.nonzero(np.triu(distances <= limit, k=1))
+    expected = {frozenset((int(rows[i]), int(rows[j]))): distances[i, j] for i, j in zip(left, right, strict=True)}
+    found = {frozenset((one, other)): distance for one, other, distance in search.close_pairs(limit)}
+    assert len(found) > 100
+    assert found == pytest.approx(expected, abs=1e-6)
 
 
 def test_index_is_not_made_anew_without_need(store):
