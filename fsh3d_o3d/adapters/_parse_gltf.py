@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
@@ -59,6 +59,7 @@ class _Document:
     """The parsed JSON."""
     binary: bytes | None
     """The binary chunk of a .glb."""
+    _contents: dict[int, bytes] = field(default_factory=dict)
 
     def entries(self, kind: str) -> list[Any]:
         """Return a top-level list, empty where it is missing."""
@@ -77,8 +78,14 @@ class _Document:
         return cast(dict[str, Any], found[index])
 
     def buffer(self, index: object) -> bytes:
-        """Return the bytes of a buffer: the binary chunk, or those of a data URI."""
+        """Return the bytes of a buffer: the binary chunk, or those of a data URI, decoded once."""
         buffer = self.entry("buffers", index)
+        number = cast(int, index)
+        if number not in self._contents:
+            self._contents[number] = self._content(number, buffer)
+        return self._contents[number]
+
+    def _content(self, index: int, buffer: dict[str, Any]) -> bytes:
         uri = buffer.get("uri")
         if uri is None:
             if index != 0 or self.binary is None:
@@ -229,7 +236,7 @@ def _primitives(document: _Document, index: int) -> tuple[Float64Array, IntArray
     """Return all triangles of a mesh; points and lines are passed over."""
     vertices: list[Float64Array] = [np.empty((0, 3))]
     triangles: list[IntArray] = [np.empty((0, 3), dtype=np.int64)]
-    offset = 0
+    offset = total = 0
     primitives = document.entry("meshes", index).get("primitives")
     for primitive in primitives if isinstance(primitives, list) else []:
         if not isinstance(primitive, dict) or not isinstance(primitive.get("attributes"), dict):
@@ -250,6 +257,9 @@ def _primitives(document: _Document, index: int) -> tuple[Float64Array, IntArray
         triangles.append(_cut(flat, mode) + offset)
         vertices.append(points)
         offset += len(points)
+        total += len(triangles[-1])
+        if max(offset, total) > _MAXIMUM_TRIANGLES:
+            raise GeometryReadError(f"mesh {index} has more than {_MAXIMUM_TRIANGLES} triangles or vertices")
     return np.concatenate(vertices), np.concatenate(triangles)
 
 

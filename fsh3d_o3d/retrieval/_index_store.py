@@ -28,7 +28,7 @@ _KEY = {"lance-schema:unenforced-primary-key": "true"}
 _ATTEMPTS = 20  # to write while others do
 _PATHS_A_QUERY = 500
 _ROWS_A_BATCH = 4096
-_MADE_FIRST = {"failures.lance", "basis.lance"}
+_TABLES = {"failures.lance", "basis.lance", "models.lance"}
 _SMALL_FRAGMENTS = 48  # that are put together; fewer do no harm
 
 
@@ -57,12 +57,12 @@ class IndexStore:
             OSError: It cannot be made.
         """
         names = _names(path)
-        there = names is not None and "models.lance" in names
+        there = names is not None and "models.lance" in names and not _unmade(path)
         if not there and option is None:
             if names is not None:
                 raise ShapeIndexError(f"{path}: this folder is no index")
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)
-        if not there and not (names or set()) <= _MADE_FIRST:  # of an index whose making was interrupted
+        if not there and not (names or set()) <= _TABLES:  # of an index whose making was interrupted
             raise ShapeIndexError(f"{path}: there is something else here, and no index is made over it")
         with translated(path, "opening it"):
             database = _lancedb().connect(path, storage_options=lance_options(path))
@@ -205,6 +205,12 @@ def _retried(table: Any, call: Any) -> None:
             if "conflict" not in str(error).lower() or attempt == _ATTEMPTS - 1:
                 raise
             table.checkout_latest()
+
+
+def _unmade(path: str) -> bool:
+    """Whether the making of the models' table was cut off before its first manifest: it then has no data, either."""
+    table = os.path.join(path, "models.lance")  # noqa: PTH118 - keeps bytes that are not UTF-8
+    return not any(_names(os.path.join(table, part)) for part in ("_versions", "data"))  # noqa: PTH118
 
 
 def _names(path: str) -> set[str] | None:

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import importlib
 import os
+import socket
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from typing import Any
+from urllib.parse import urlsplit
 
 from fsh3d_o3d.retrieval.worker_pool import Outcome, Result, Task, run_tasks
 
@@ -19,6 +21,10 @@ _SMALLEST_PART = 8  # tasks: starting a process takes as long as describing doze
 _LARGEST_PART = 256
 _PARTS_A_PROCESSOR = 4  # at least, where there are so many tasks, so that all end at about the same time
 _PARTS_IN_HAND = 2  # a processor: one that runs, one that waits
+_ANSWER_PATIENCE = 4.0  # seconds to connect, and as many to be greeted
+# What opens every HTTP/2 connection, which gRPC is (RFC 9113, section 3.4), with an empty frame of settings behind it.
+_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
+_KIND_AT, _SETTINGS = 3, 4  # the byte of a frame that tells its kind, and the kind that a server sends first
 
 
 def run_tasks_on_ray(
@@ -50,6 +56,8 @@ def run_tasks_on_ray(
         return
     ours = not ray.is_initialized()
     if ours:
+        if address is not None:
+            _require_server(address)
         own = {"address": "local", "num_cpus": workers, "include_dashboard": False}
         try:
             ray.init(**(own if address is None else {"address": address}), log_to_driver=False, logging_level="ERROR")
@@ -64,6 +72,44 @@ def run_tasks_on_ray(
     finally:
         if ours:
             ray.shutdown()
+
+
+def _require_server(address: str) -> None:
+    """Find out whether something like Ray listens at an address: Ray itself would go on trying for minutes.
+
+    Raises:
+        ConnectionError: Nothing does, or this is no address.
+    """
+    if address == "auto":
+        address = os.environ.get("RAY_ADDRESS", address)
+    scheme, _, place = address.rpartition("://")
+    if address in ("auto", "local") or scheme not in ("", "ray"):  # what Ray looks up itself
+        return
+    try:
+        parts = urlsplit(f"//{place}")
+        host, port = parts.hostname, parts.port
+    except ValueError:  # a port that is no number, or too large a one
+        host, port = None, None
+    if not host or not port:
+        raise ConnectionError(f"no Ray at {address}: expected HOST:PORT, ray://HOST:PORT, 'auto' or 'local'")
+    try:
+        greeting = _greeting(host, port)
+    except (OSError, UnicodeError) as error:  # the latter of a name that can be no host's
+        raise ConnectionError(f"no Ray at {address}: {getattr(error, 'strerror', None) or error}") from error
+    encrypted = os.environ.get("RAY_USE_TLS", "0").lower() in ("1", "true")  # then only Ray can tell
+    if not encrypted and greeting[_KIND_AT : _KIND_AT + 1] != bytes((_SETTINGS,)):
+        raise ConnectionError(f"no Ray at {address}: something else listens there")
+
+
+def _greeting(host: str, port: int) -> bytes:
+    """Return the first bytes that a server sends, fewer than asked for if it does not care for gRPC."""
+    with socket.create_connection((host, port), timeout=_ANSWER_PATIENCE) as connection:
+        try:
+            connection.sendall(_PREFACE)
+            with connection.makefile("rb") as stream:
+                return stream.read(_KIND_AT + 1)
+        except OSError:  # silent until the time was over, or hung up
+            return b""
 
 
 def _outcomes(

@@ -327,6 +327,20 @@ def test_gltf_that_lies_is_refused(write, tmp_path):
 def test_gltf_instances_are_bounded(write, monkeypatch):
     monkeypatch.setattr("fsh3d_o3d.adapters._parse_gltf._MAXIMUM_TRIANGLES", 79)
     refuse(glb(write, nodes=[{"mesh": 0}] * 10, scenes=[{"nodes": list(range(10))}]), "more than 79 triangles")
+    primitives = mutations.gltf_tree()[0]["meshes"][0]["primitives"]
+    refuse(glb(write, meshes=[{"primitives": primitives * 10}]), "mesh 0 has more than 79 triangles")
+
+
+def test_gltf_buffers_are_decoded_once(write, monkeypatch):
+    """Else a small file with many primitives over one large buffer takes as long as it likes."""
+    tree, binary = mutations.gltf_tree()
+    buffers = [{"byteLength": len(binary), "uri": "data:;base64," + base64.b64encode(binary).decode()}]
+    meshes = [{"primitives": tree["meshes"][0]["primitives"] * 10}]
+    path, calls = write("g.gltf", json.dumps({**tree, "buffers": buffers, "meshes": meshes})), []
+    decode = base64.b64decode
+    monkeypatch.setattr("base64.b64decode", lambda *text, **how: calls.append(text) or decode(*text, **how))
+    assert len(read_here(path).triangles) == 80
+    assert len(calls) == 1
 
 
 @pytest.mark.parametrize("isolated", [True, False])

@@ -6,13 +6,16 @@ import json
 import os
 import shutil
 import signal
+import socket
 import sys
+import threading
 import time
 from pathlib import Path
 
 import pytest
 
 from fsh3d_o3d.cli import main
+from fsh3d_o3d.retrieval._ray_tasks import _require_server, run_tasks_on_ray
 from fsh3d_o3d.retrieval.shape_index import ShapeIndex
 from tests.retrieval.index_cases import QUICK, write_library
 
@@ -86,6 +89,7 @@ def test_rows_are_those_of_the_local_engine(ray, tmp_path):
     late = remote.add_files(write_library(tmp_path / "late", [8]), thumbnail=endless, timeout=1, engine="ray")
     assert [failed.reason for failed in late.failed] == ["took longer than 1 s"]
     assert ray.is_initialized()  # a Ray that was there is left
+    _require_server(ray.get_runtime_context().gcs_address)  # what is asked of an address before Ray is, holds for Ray
 
 
 def test_the_command_starts_and_ends_its_own_ray(tmp_path, capsys):
@@ -106,10 +110,82 @@ def test_without_ray_the_extra_is_named(tmp_path, monkeypatch):
     assert len(index) == 0
 
 
-def test_an_address_without_a_cluster(tmp_path):
+@pytest.fixture
+def no_start(monkeypatch):
+    """Ray must not be asked: it goes on trying for minutes."""
+    import ray
+
+    def init(**_):
+        raise AssertionError("ray.init was called")
+
+    monkeypatch.setattr(ray, "init", init)
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+
+
+@pytest.fixture
+def free_port():
+    """Where nothing listens: the port is taken, but not listened on."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        yield taken.getsockname()[1]
+
+
+BAD = ["nonsense", "host:notaport", "host:70000", "host:0", "host", ":6379", "ray://", "ray://host", "[::1:6379", ""]
+
+
+@pytest.mark.parametrize("address", BAD)
+def test_what_is_no_address(tmp_path, no_start, address):
     index = ShapeIndex.open(tmp_path / "index", create=True, option=QUICK)
-    with pytest.raises(ConnectionError, match="no Ray at nonsense"):
-        index.add_files(write_library(tmp_path / "library", [0]), engine="ray", address="nonsense")
+    with pytest.raises(ConnectionError) as caught:
+        index.add_files(write_library(tmp_path / "library", [0]), engine="ray", address=address)
+    assert str(caught.value) == f"no Ray at {address}: expected HOST:PORT, ray://HOST:PORT, 'auto' or 'local'"
+
+
+@pytest.mark.parametrize("form", ["127.0.0.1:{}", "ray://127.0.0.1:{}", "auto"])
+def test_an_address_without_a_cluster(tmp_path, capsys, monkeypatch, no_start, free_port, form):
+    if form == "auto":
+        monkeypatch.setenv("RAY_ADDRESS", f"127.0.0.1:{free_port}")
+    write_library(tmp_path / "library", [0])
+    arguments = ["index", tmp_path / "library", tmp_path / "index", "--engine", "ray", "--address"]
+    assert main([*map(str, arguments), form.format(free_port), "--option", "energies", "--no-thumbnails"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    shown = form.format(free_port).replace("auto", f"127.0.0.1:{free_port}")
+    assert err == f"fsh3d: error: no Ray at {shown}: Connection refused\n"
+
+
+@pytest.mark.parametrize("name", ["x..y", "x" * 70 + ".example", "\ud800"])
+def test_a_name_that_no_host_can_have(no_start, name):
+    with pytest.raises(ConnectionError, match=r"no Ray at .*idna"):
+        next(run_tasks_on_ray(len, ["task"], workers=1, timeout=1, address=f"{name}:6379"))
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.1 400 Bad Request\r\n\r\n", b"", None])
+def test_an_address_where_something_else_listens(no_start, monkeypatch, answer):
+    monkeypatch.setattr("fsh3d_o3d.retrieval._ray_tasks._ANSWER_PATIENCE", 0.5)
+    hold = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve():
+            with server.accept()[0] as connection:
+                if answer is None:  # silent
+                    hold.wait(60)
+                else:
+                    connection.recv(100)
+                    connection.sendall(answer)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            with pytest.raises(ConnectionError, match="something else listens there"):
+                next(
+                    run_tasks_on_ray(
+                        len, ["task"], workers=1, timeout=1, address=f"127.0.0.1:{server.getsockname()[1]}"
+                    )
+                )
+        finally:
+            hold.set()
+            thread.join()
 
 
 def test_arguments(tmp_path):

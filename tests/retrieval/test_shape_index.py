@@ -212,6 +212,20 @@ def test_no_index(tmp_path):
         ShapeIndex.open(tmp_path / "folder" / "thesis.txt", create=True)
 
 
+@pytest.mark.parametrize("table", ["basis", "failures", "models"])
+def test_making_that_was_cut_off_is_taken_up(tmp_path, table):
+    """Killed, or out of room, before the first manifest of a table, and so before those made after it."""
+    path = tmp_path / "index"
+    ShapeIndex.open(path, create=True, option=QUICK)
+    shutil.rmtree(path / f"{table}.lance" / "_versions")
+    for later in {"basis": ("failures", "models"), "failures": ("models",), "models": ()}[table]:
+        shutil.rmtree(path / f"{later}.lance")
+    with pytest.raises(ShapeIndexError, match="no index"):
+        ShapeIndex.open(path, option=QUICK)
+    index = ShapeIndex.open(path, create=True, option=QUICK)
+    assert index.add_files(write_library(tmp_path / "library", range(2)), workers=1).added == 2
+
+
 def test_newer_format(tmp_path, monkeypatch):
     monkeypatch.setattr(_index_store, "FORMAT", 7)
     ShapeIndex.open(tmp_path / "index", create=True)

@@ -1,0 +1,300 @@
+"""Endurance of an index: ``fsh3d index`` killed again and again while it fills one.
+
+    python -m benchmarks.index_kills --models DIR [--kills 30] [--seed 0] [--writers 1] [--output DIR]
+
+Each writer is a process group of its own and is ended by SIGKILL, workers and all, at a moment drawn uniformly from the
+time that an undisturbed run takes, start-up included. After every kill the index must open, hold all that it held
+before, no model twice, and answer a query; then it is filled on. Whenever it is complete it must hold each model once
+and list the failures of the undisturbed run, no others, and a new one is begun.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from fsh3d_o3d.retrieval.library_files import library_files
+from fsh3d_o3d.retrieval.shape_index import ShapeIndex, ShapeIndexError
+
+Stage = Literal["start-up", "filling", "end"]
+
+_COMMAND = (sys.executable, "-c", "import sys; from fsh3d_o3d.cli import main; sys.exit(main())", "index")
+_LOOK = 0.05  # seconds between two looks at the writers
+_SAME = 0.05  # distance of a model from its stored self: rounding makes a hundredth
+_PATIENCE = 20.0  # times an undisturbed run, before a writer counts as one that hangs
+
+
+@dataclass(frozen=True)
+class Content:
+    """What an index holds."""
+
+    made: bool
+    """Whether there is an index; else a kill came before its tables were there."""
+    models: frozenset[str]
+    """Files described."""
+    failures: frozenset[tuple[str, str]]
+    """Files not described, and why."""
+    problems: tuple[str, ...]
+    """What must not be."""
+
+
+@dataclass(frozen=True)
+class Kill:
+    """One kill, and what was found after it."""
+
+    stage: Stage
+    """No worker process yet, workers at work, or workers gone and the last rows being written."""
+    seconds: float
+    """After the start of the writer."""
+    made: bool
+    """Whether there was an index to open."""
+    models: int
+    """In the index afterwards."""
+    lost: float | None
+    """Seconds of describing since the last commit; None with several writers, whose commits look alike."""
+    problems: tuple[str, ...]
+    """Empty if all was well."""
+
+
+@dataclass
+class Report:
+    """What came of all kills."""
+
+    models: int
+    """That an undisturbed run indexes."""
+    failures: int
+    """That it lists."""
+    undisturbed_seconds: float
+    """How long it takes."""
+    writers: int
+    """At once."""
+    kills: list[Kill] = field(default_factory=list)
+    """One by one."""
+    completed: int = 0
+    """Indices that were filled to the end, each found to hold what it should unless ``problems`` says otherwise."""
+    problems: list[str] = field(default_factory=list)
+    """All, of kills and of complete indices."""
+
+    def require_end(self, code: int, log: Path) -> None:
+        """Note a writer that came to an end, but not to a good one."""
+        if code not in (0, 1):
+            self.problems.append(f"a writer ends with {code}: {log.read_text(errors='replace')[-300:]}")
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures that count."""
+        lost = [kill.lost for kill in self.kills if kill.stage == "filling" and kill.lost is not None]
+        return {
+            "kills": len(self.kills),
+            **{stage: sum(kill.stage == stage for kill in self.kills) for stage in ("start-up", "filling", "end")},
+            "before there was an index": sum(not kill.made for kill in self.kills),
+            "opened every time": not any("does not open" in text for text in self.problems),
+            "duplicates": sum("twice" in text for text in self.problems),
+            "lost models": sum("lost" in text for text in self.problems),
+            "work lost, median s": round(statistics.median(lost), 2) if lost else None,
+            "work lost, most s": round(max(lost), 2) if lost else None,
+            "indices completed": self.completed,
+            "problems": len(self.problems),
+        }
+
+
+@dataclass
+class _Writer:
+    """A running ``fsh3d index``, when it is to be killed, and how far it was seen to be."""
+
+    process: subprocess.Popen[bytes]
+    started: float
+    moment: float
+    filling_since: float | None = None
+    stage: Stage = "start-up"
+
+    @classmethod
+    def start(cls, command: Sequence[str], after: float, log: Path) -> _Writer:
+        with log.open("ab") as errors:
+            process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=errors, start_new_session=True)
+        return cls(process, time.time(), time.time() + after)
+
+    def look(self) -> None:
+        """Find out how far it is."""
+        if _has_workers(self.process.pid):
+            self.filling_since, self.stage = self.filling_since or time.time(), "filling"
+        elif self.stage == "filling":
+            self.stage = "end"
+
+    def kill(self) -> None:
+        """End the whole group."""
+        os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+
+def examine(index: str, before: frozenset[str] = frozenset()) -> Content:
+    """Open an index and return what it holds and what is wrong with it; ``before`` is what it must hold."""
+    try:
+        found = ShapeIndex.open(index)
+    except FileNotFoundError as error:
+        return Content(False, frozenset(), frozenset(), (f"does not open: {error}",) if before else ())
+    except (ShapeIndexError, OSError) as error:
+        # Tables are made one after the other, models last: a kill between leaves a folder that the next run completes.
+        half_made = not before and not Path(index, "models.lance").exists()
+        return Content(False, frozenset(), frozenset(), () if half_made else (f"does not open: {error}",))
+    problems: list[str] = []
+    store = found._store
+    names = {
+        name: Counter(map(os.fsdecode, store.columns(table, ["path"])["path"].to_pylist()))
+        for name, table in (("models", store.models), ("failures", store.failures))
+    }
+    for name, paths in names.items():
+        problems += [f"twice in the {name}: {path}" for path, count in paths.items() if count > 1]
+    models = names["models"]
+    if len(found) != models.total():
+        problems.append(f"its length is {len(found)}, but there are {models.total()} rows")
+    problems += [f"lost: {path}" for path in sorted(before - set(models))]
+    if models:
+        hits = found.query(min(models), top=1, rerank=0)
+        if len(hits) != 1 or not hits[0].distance <= _SAME:
+            problems.append(f"a query of {min(models)} does not find it")
+    failures = frozenset((failed.path, failed.reason) for failed in found.failures())
+    return Content(True, frozenset(models), failures, tuple(problems))
+
+
+def run(models: str, kills: int, *, seed: int = 0, writers: int = 1, arguments: Sequence[str] = ()) -> Report:
+    """Kill writers of a library, ``writers`` at once, and say what came of it.
+
+    ``arguments`` are further ones of ``fsh3d index``.
+
+    Raises:
+        RuntimeError: There is nothing to index, or the undisturbed run fails.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        command = [*_COMMAND, "--quiet", *arguments, models]
+        index, log = f"{folder}/undisturbed", Path(folder, "errors")
+        begin = time.perf_counter()
+        code = _undisturbed([*command, index], log, None)
+        seconds = time.perf_counter() - begin
+        expected = examine(index)
+        if code not in (0, 1) or expected.problems or not expected.models:
+            raise RuntimeError(f"an undisturbed run ends with {code}: {log.read_text()[-500:]} {expected.problems}")
+        report = Report(len(expected.models), len(expected.failures), seconds, writers)
+        draw = random.Random(seed)
+        while len(report.kills) < kills:
+            index = f"{folder}/index{report.completed}"
+            _one_index([*command, index], kills, draw, report, log)
+            report.problems += [f"complete index: {text}" for text in _differences(examine(index), expected)]
+            report.completed += 1
+            shutil.rmtree(index)
+    return report
+
+
+def _one_index(command: Sequence[str], kills: int, draw: random.Random, report: Report, log: Path) -> None:
+    """Fill one index, with kills, until a writer has come to its end."""
+    there: frozenset[str] = frozenset()
+    while len(report.kills) < kills:
+        limit = time.time() + _PATIENCE * report.writers * report.undisturbed_seconds + 60
+        moments = [draw.uniform(0, report.undisturbed_seconds) for _ in range(report.writers)]
+        running = [_Writer.start(command, moment, log) for moment in moments]
+        ended = False
+        try:
+            while running:
+                time.sleep(_LOOK)
+                for writer in list(running):
+                    writer.look()
+                    code = writer.process.poll()
+                    if code is not None:
+                        ended = True
+                        report.require_end(code, log)
+                    elif time.time() > limit:
+                        report.problems.append("a writer hangs")
+                        writer.kill()
+                    elif time.time() > writer.moment and len(report.kills) < kills:
+                        there = _kill(writer, command[-1], there, report)
+                    else:
+                        continue
+                    running.remove(writer)
+        finally:
+            for writer in running:
+                writer.kill()
+        if ended:
+            return
+    report.require_end(_undisturbed(command, log, _PATIENCE * report.undisturbed_seconds + 60), log)
+
+
+def _undisturbed(command: Sequence[str], log: Path, patience: float | None) -> int:
+    with log.open("ab") as errors:
+        done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=errors, timeout=patience, check=False)
+    return done.returncode
+
+
+def _kill(writer: _Writer, index: str, before: frozenset[str], report: Report) -> frozenset[str]:
+    """Kill a writer, put what is found into the report, and return the models that are there."""
+    writer.kill()
+    now = time.time()
+    lost = None
+    if report.writers == 1:
+        last = max((path.stat().st_mtime for path in Path(index).glob("*.lance/_versions/*")), default=0.0)
+        lost = 0.0 if writer.filling_since is None else max(0.0, now - max(last, writer.filling_since))
+    found = examine(index, before)
+    kill = Kill(writer.stage, now - writer.started, found.made, len(found.models), lost, found.problems)
+    report.kills.append(kill)
+    number = len(report.kills)
+    report.problems += [f"after kill {number}: {text}" for text in found.problems]
+    print(f"kill {number}: {kill.stage}, {kill.seconds:.1f} s, {kill.models} models", *kill.problems, flush=True)
+    return found.models
+
+
+def _differences(found: Content, expected: Content) -> list[str]:
+    """What a complete index has and should not have, or the other way round."""
+    missing, unexpected = expected.models - found.models, found.models - expected.models
+    problems = [*found.problems, *(f"missing: {path}" for path in sorted(missing))]
+    problems += [f"not expected: {path}" for path in sorted(unexpected)]
+    if found.failures != expected.failures:
+        problems.append(f"other failures: {sorted(found.failures ^ expected.failures)[:3]}")
+    return problems
+
+
+def _has_workers(group: int) -> bool:
+    """Whether a process group holds one that ``multiprocessing`` has spawned to work."""
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if os.getpgid(int(process.name)) == group and b"spawn_main" in (process / "cmdline").read_bytes():
+                return True
+        except OSError:  # noqa: PERF203 - ended meanwhile
+            continue
+    return False
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run it, print the figures, write ``index_kills.json``; 1 if anything was wrong."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.index_kills", description="Kill fsh3d index.")
+    parser.add_argument("--models", required=True, metavar="DIR", help="library")
+    parser.add_argument("--kills", type=int, default=30, metavar="N", help="how many (30)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the moments (0)")
+    parser.add_argument("--writers", type=int, default=1, metavar="N", help="that fill one index at once (1)")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for index_kills.json")
+    options, rest = parser.parse_known_args(arguments)
+    if next(library_files(options.models), None) is None:
+        parser.error("there are no models")
+    report = run(options.models, options.kills, seed=options.seed, writers=options.writers, arguments=rest)
+    for name, value in [*report.figures().items(), *(("problem", text) for text in report.problems)]:
+        print(f"{name}: {value}")
+    if options.output is not None:
+        options.output.mkdir(parents=True, exist_ok=True)
+        document = json.dumps({"figures": report.figures(), **asdict(report)}, indent=1)
+        (options.output / "index_kills.json").write_text(document + "\n", encoding="utf-8")
+    return 1 if report.problems else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
