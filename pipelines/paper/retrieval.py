@@ -157,6 +157,8 @@ def main() -> None:
     options = arguments.parse_args()
     if (options.models is None) != (options.classification is None):
         arguments.error("give both --models and --classification")
+    if options.every is not None and options.every < 1:
+        raise ValueError(f"--every must be at least 1, got {options.every}")
     if options.every is None:
         options.every = 1 if options.full or options.models is None else 3
     paths, labels, miscellaneous = library(options)
