@@ -25,11 +25,12 @@ _PROBES = 16  # partitions that are looked into
 _SPARE = 2  # sketches' candidates for each row that is wanted
 _LEAST_CANDIDATES = 256
 _CANDIDATES_A_ROOT = 0.8  # times √(rows): where there are more rows, more of them are alike
-_REINDEX = 0.2  # of the rows, new since the inverted file was made, are too many
+_REINDEX = 0.05  # of the rows, new since the inverted file was made, are too many
 _BLOCK = 512
 _DECODED = 64  # rows
 _PAIRS_A_BLOCK = 2**24
 _ROUNDING = 1.001  # of sums in float32
+_SUMMED = 10  # numbers of a feature: |Σa − Σb| ≤ Σ|a − b|
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,15 +73,18 @@ class IndexSearch:
         order = np.argsort(distances, kind="stable")[:count]
         return Candidates(rows[order], distances[order], found[order])
 
-    def index(self) -> None:
-        """Make the inverted file, or bring it up to date, where the rows are too many to compare all."""
+    def index(self, *, moved: bool = False) -> None:
+        """Make the inverted file, or bring it up to date, where the rows are too many to compare all.
+
+        After rows were ``moved`` it is made anew: Lance carries it over to their new places, but then it is slower.
+        """
         from lancedb.index import IvfFlat
 
         table, count = self._store.models, self._store.count()
         if count < self._exact_below:
             return
         with translated(self._store.path, "indexing it"):
-            if any(index.columns == ["sketch"] for index in table.list_indices()):
+            if not moved and any(index.columns == ["sketch"] for index in table.list_indices()):
                 statistics = table.index_stats("sketch_idx")
                 if statistics is not None and statistics.num_unindexed_rows <= _REINDEX * count:
                     return
@@ -94,12 +98,11 @@ class IndexSearch:
         features = None
         if self._store.count() < self._exact_below:
             rows, stored, features = self._everything(version)
-            found = [(rows, self._excluding(stored))]
+            found = [(rows, *self._excluding(stored))]
         else:
             tables = self._store.batches(["signature"])
-            found = [(_identifiers(table), self._excluding(self._read(table))) for table in tables]
-        rows = np.concatenate([part for part, _ in found])
-        sketch = np.concatenate([part for _, part in found])
+            found = [(_identifiers(table), *self._excluding(self._read(table))) for table in tables]
+        rows, sketch, sums = (np.concatenate(parts) for parts in zip(*found, strict=True))
         norm = np.square(sketch).sum(axis=1)
         # No two rows this close are further apart in their sketches.
         bound = np.float32((2 * limit if self._l1 else limit * limit) * _ROUNDING) + 1e-5 * norm.max(initial=0)
@@ -108,16 +111,21 @@ class IndexSearch:
             part = slice(start, start + step)
             squared = norm[part, None] + norm[None, start:] - 2 * (sketch[part] @ sketch[start:].T)
             left, right = np.nonzero(np.triu(squared <= bound, k=1))
+            left, right = _still_close(left + start, right + start, sums, limit * _ROUNDING)
             for begin in range(0, len(left), _BLOCK):
-                one, two = left[begin : begin + _BLOCK] + start, right[begin : begin + _BLOCK] + start
+                one, two = left[begin : begin + _BLOCK], right[begin : begin + _BLOCK]
                 distance = self._apart(one, two, rows, features)
                 for index in np.flatnonzero(distance <= limit):
                     yield int(rows[one[index]]), int(rows[two[index]]), float(distance[index])
 
-    def _excluding(self, stored: StoredRows) -> NDArray[np.float32]:
-        """Sketches that exclude: of the roots, or in L2 of the features themselves."""
-        long = signed_roots(stored.numbers["feature"], stored.numbers["feature_step"]) if self._l1 else stored.features
-        return shortened(long, self._store.basis)
+    def _excluding(self, stored: StoredRows) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """What excludes: sketches of the roots, and sums over parts of features; in L2 sketches of features alone."""
+        features = stored.features
+        if not self._l1:
+            return shortened(features, self._store.basis), np.empty((len(stored), 0), np.float32)
+        roots = signed_roots(stored.numbers["feature"], stored.numbers["feature_step"])
+        sums = np.add.reduceat(features, np.arange(0, features.shape[1], _SUMMED), axis=1)
+        return shortened(roots, self._store.basis), sums
 
     def _apart(
         self, one: IntArray, two: IntArray, rows: IntArray, features: NDArray[np.float32] | None
@@ -159,6 +167,15 @@ class IndexSearch:
             part = slice(start, start + _BLOCK)
             result[part] = np.abs(others[part] - query).sum(axis=1)
         return result
+
+
+def _still_close(left: IntArray, right: IntArray, sums: NDArray[np.float32], limit: float) -> tuple[IntArray, IntArray]:
+    """Leave out the pairs of rows whose sums are further apart in L1, as their features then are."""
+    kept = np.ones(len(left), dtype=bool)
+    for start in range(0, len(left) if sums.size else 0, _BLOCK):
+        part = slice(start, start + _BLOCK)
+        kept[part] = np.abs(sums[left[part]] - sums[right[part]]).sum(axis=1) <= limit
+    return left[kept], right[kept]
 
 
 def _identifiers(table: Any) -> IntArray:

@@ -10,13 +10,14 @@ from __future__ import annotations
 import errno
 import functools
 import os
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fsh3d_o3d.adapters._object_storage import folder_names, is_uri, lance_options
+from fsh3d_o3d.adapters._object_storage import folder_names, is_uri, lance_options, list_objects
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.retrieval._index_codec import SKETCH_LENGTH, signature_type
 from fsh3d_o3d.retrieval._index_errors import ShapeIndexError, translated
@@ -29,6 +30,9 @@ _ATTEMPTS = 20  # to write while others do
 _PATHS_A_QUERY = 500
 _ROWS_A_BATCH = 4096
 _TABLES = {"failures.lance", "basis.lance", "models.lance"}
+_KEPT_SECONDS = 3600  # for which a version stays readable
+_WASTE = 1.5  # times the rows there are: then versions before are removed
+_LITTLE = 2**20  # bytes that nobody minds
 _SMALL_FRAGMENTS = 48  # that are put together; fewer do no harm
 
 
@@ -164,15 +168,33 @@ class IndexStore:
             with translated(self.path, "writing to it"):
                 _retried(table, functools.partial(table.delete, condition))
 
-    def tidy(self) -> None:
-        """Put small fragments together and forget old versions, where that is worth it."""
+    def tidy(self) -> bool:
+        """Put small fragments together and forget old versions, where that is worth it; whether models were moved."""
         from datetime import timedelta
 
-        for table in (self.models, self.failures):
+        moved = False
+        for name, table in (("models", self.models), ("failures", self.failures)):
             with translated(self.path, "compacting it"):
                 table.checkout_latest()
-                if table.stats()["fragment_stats"]["num_small_fragments"] > _SMALL_FRAGMENTS:
-                    _retried(table, functools.partial(table.optimize, cleanup_older_than=timedelta(hours=1)))
+                about = table.stats()
+                many = about["fragment_stats"]["num_small_fragments"] > _SMALL_FRAGMENTS
+                if many or self._old_bytes(name) > _WASTE * (about["total_bytes"] + _LITTLE):
+                    kept = timedelta(seconds=_KEPT_SECONDS)
+                    _retried(table, functools.partial(table.optimize, cleanup_older_than=kept))
+                    moved = moved or table is self.models
+        return moved
+
+    def _old_bytes(self, name: str) -> int:
+        """Size of a table's rows on disk, those of versions before included, that nobody can be reading any more."""
+        folder = os.path.join(self.path, f"{name}.lance", "data")  # noqa: PTH118 - keeps bytes that are not UTF-8
+        if is_uri(folder):
+            found = [(one.size, one.mtime) for one in list_objects(folder, recursive=False)]
+        elif os.path.isdir(folder):  # noqa: PTH112
+            found = [(about.st_size, about.st_mtime_ns) for about in (file.stat() for file in os.scandir(folder))]
+        else:
+            return 0
+        limit = time.time_ns() - _KEPT_SECONDS * 10**9
+        return sum(size for size, changed in found if changed < limit)
 
 
 def _basis_table(basis: NDArray[np.float16]) -> Any:
@@ -228,7 +250,7 @@ def _is_one_of(column: str, values: Sequence[bytes]) -> str:
 
 def _lancedb() -> Any:
     # Its notes on partitions that stay empty are of no use to who indexes a library.
-    os.environ.setdefault("LANCE_LOG", "error")
+    os.environ.setdefault("LANCEDB_LOG", "error")
     import lancedb  # takes a second or more
 
     return lancedb

@@ -186,8 +186,7 @@ class ShapeIndex:
             run_elsewhere=functools.partial(run_tasks_on_ray, address=address) if engine == "ray" else None,
         )
         if update.added or update.moved:
-            self._store.tidy()
-            self._search.index()
+            self._search.index(moved=self._store.tidy())
         return update
 
     def prune(self, folder: str | os.PathLike[str] | None = None) -> int:
