@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,6 +10,10 @@ from pathlib import Path
 import hypothesis
 import numpy as np
 import pytest
+
+# A shell that runs this in the background makes it and its children deaf to Ctrl-C, which some tests send to theirs.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A shared machine may pause for longer than Hypothesis' deadline of 200 ms; no test is about time.
 hypothesis.settings.register_profile("fsh3d", deadline=None, max_examples=25)

@@ -29,6 +29,9 @@ _SINGLE_THREADED = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "DUCC0_NUM_THREADS"), "1"
 )
 _START_PATIENCE = 120.0  # seconds; starting takes one
+# Seconds after which waiting looks up: a signal that the system has given to another thread, because this one was deaf
+# to it while a process started, wakes nobody who waits.
+_HEARTBEAT = 0.5
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ def run_tasks(
         while len(pool) < min(workers, len(tasks)):
             pool.append(_Worker(function))
         while pool:
-            patience = max(0.0, min(worker.deadline for worker in pool) - time.monotonic())
+            patience = min(_HEARTBEAT, max(0.0, min(worker.deadline for worker in pool) - time.monotonic()))
             ready = wait([worker.pipe for worker in pool], timeout=patience)
             now = time.monotonic()
             for worker in [w for w in pool if w.pipe in ready or now > w.deadline]:
