@@ -38,6 +38,8 @@ _DTYPES = {"f8": np.dtype(np.float64), "i8": np.dtype(np.int64)}
 # One thread: the reader multiplies no matrices, and each BLAS thread would take address space from the limit.
 _ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
+_STORAGE = ("AWS_", "GOOGLE_", "AZURE_")  # beginnings of the variables that tell how object storage is reached
+
 # The packages above this module are entered empty: their own __init__ would load SciPy and more, which takes longer
 # than everything else here, and which a process that reads untrusted files should not hold.
 _PROGRAM = """
@@ -67,6 +69,7 @@ class ReaderProcess:
         self._function = function
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
+        self._storage: dict[str, str] = {}
 
     def read(self, path: str, *, timeout: float, memory_limit: int) -> MeshArrays | PointArrays:
         """Return what the process read from an absolute path.
@@ -108,10 +111,14 @@ class ReaderProcess:
     def _running(self) -> subprocess.Popen[bytes]:
         if self._process is not None and self._process.poll() is not None:
             self._stop()  # it was ended from outside while idle; this request need not suffer
+        storage = {name: value for name, value in os.environ.items() if name.startswith(_STORAGE)}
+        if self._process is not None and storage != self._storage:
+            self._stop()  # it knows other credentials than this process does by now
         if self._process is None:
             # Isolated mode and the caller's own search path: neither the working folder nor the environment can put
             # another module in place of ours.
             program = _PROGRAM.format(path=sys.path, packages=_packages(), module=__name__, function=self._function)
+            self._storage = storage
             self._process = subprocess.Popen(
                 [sys.executable, "-I", "-c", program],
                 stdin=subprocess.PIPE,

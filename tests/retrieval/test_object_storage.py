@@ -188,6 +188,16 @@ def test_stored_geometry_is_read_like_a_file(upload, blobs, capsys):
     assert "star-shaped" in capsys.readouterr().out
 
 
+def test_the_reader_follows_the_environment(upload, blobs):
+    uri = upload(blobs[0], "a.off")
+    assert len(read_geometry_arrays(blobs[0]).triangles) > 0  # there is a reader now, whatever it started with
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+        with pytest.raises(fsh.GeometryReadError, match="cannot be reached"):
+            read_geometry_arrays(uri)
+    assert len(read_geometry_arrays(uri).triangles) > 0
+
+
 def test_changed_while_it_is_read(upload, blobs, monkeypatch):
     from fsh3d_o3d.retrieval import _index_extraction as extraction
 
