@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from PIL import Image, ImageStat
+
+from tests.scripts import run_script
 
 ROOT = Path(__file__).parents[1]
 GALLERY = ROOT / "pipelines" / "gallery"
@@ -64,13 +64,7 @@ SCRIPTS = {
 
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_script_draws_its_picture(name, tmp_path):
-    done = subprocess.run(
-        [sys.executable, str(GALLERY / name), "--output", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    done = run_script(GALLERY / name, "--output", tmp_path)
     assert done.returncode == 0, done.stderr
     SCRIPTS[name](done.stdout)
     assert [path.name for path in tmp_path.iterdir()] == [Path(name).with_suffix(".png").name]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import json
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from fsh3d_o3d.adapters.geometry import MeshArrays
 from fsh3d_o3d.adapters.surface_error import surface_error
 from fsh3d_o3d.sphere import icosphere
+from tests.scripts import run_script
 
 ROOT = Path(__file__).parents[1]
 PAPER = ROOT / "pipelines" / "paper"
@@ -36,13 +36,7 @@ def script(monkeypatch):
 
 def ran(folder, name, *arguments):
     """Run a script; return what it printed, its JSON and the names of its pictures."""
-    done = subprocess.run(
-        [sys.executable, str(PAPER / name), "--output", str(folder), *arguments],
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    done = run_script(PAPER / name, "--output", folder, *arguments, timeout=600)
     assert done.returncode == 0, done.stderr
     results = json.loads(next(folder.glob("*.json")).read_text(encoding="utf-8"))
     return done.stdout, results, {path.name for path in folder.glob("*.png")}
@@ -121,13 +115,7 @@ def test_retrieval(tmp_path):
 
 
 def test_retrieval_wants_models_and_classification_together(tmp_path):
-    done = subprocess.run(
-        [sys.executable, str(PAPER / "retrieval.py"), "--models", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    done = run_script(PAPER / "retrieval.py", "--models", tmp_path)
     assert done.returncode == 2
     assert "give both --models and --classification" in done.stderr
 
@@ -144,14 +132,7 @@ def test_retrieval_wants_models_and_classification_together(tmp_path):
 def test_bad_input_is_one_line(tmp_path, name, arguments, said):
     """No file, no classification, no mesh, and a file where the folder for results should be."""
     (tmp_path / "odd.cla").write_text("not a classification\n", encoding="ascii")
-    done = subprocess.run(
-        [sys.executable, str(PAPER / name), *arguments],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-        cwd=tmp_path,
-    )
+    done = run_script(PAPER / name, *arguments, folder=tmp_path)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert line.startswith(f"{name}: ")

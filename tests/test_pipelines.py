@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
+
+from tests.scripts import run_script
 
 PIPELINES = Path(__file__).parents[1] / "pipelines"
 
 
 def test_demo(tmp_path):
-    done = subprocess.run(
-        [sys.executable, str(PIPELINES / "demo.py"), "--output", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    done = run_script(PIPELINES / "demo.py", "--output", tmp_path)
     assert done.returncode == 0, done.stderr
     assert {"bennu_like.ply", "bennu_like.html", "bennu_like.png", "bennu_cloud.npz"} <= {
         p.name for p in tmp_path.iterdir()
@@ -28,13 +22,7 @@ def test_demo(tmp_path):
 
 
 def test_align_scans(tmp_path):
-    done = subprocess.run(
-        [sys.executable, str(PIPELINES / "align_scans.py"), "--output", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    done = run_script(PIPELINES / "align_scans.py", "--output", tmp_path)
     assert done.returncode == 0, done.stderr
     assert {path.name for path in tmp_path.iterdir()} == {"aligned.ply", "aligned.png"}
     assert "confidence 1.00, ambiguity none, scale 0.00" in done.stdout
@@ -43,13 +31,7 @@ def test_align_scans(tmp_path):
 
 
 def test_sphere_map(tmp_path):
-    done = subprocess.run(
-        [sys.executable, str(PIPELINES / "sphere_map.py"), "--bandwidth", "16", "--output", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    done = run_script(PIPELINES / "sphere_map.py", "--bandwidth", "16", "--output", tmp_path)
     assert done.returncode == 0, done.stderr
     assert {path.name for path in tmp_path.iterdir()} == {"conformal.png", "balanced.png"}
     conformal, balanced = (line.split() for line in done.stdout.splitlines()[1:3])

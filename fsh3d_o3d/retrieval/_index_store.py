@@ -95,9 +95,8 @@ class IndexStore:
     def refresh(self) -> int:
         """See what others have written meanwhile; returns the version of the models."""
         with translated(self.path, "reading it"):
-            self.models.checkout_latest()
             self.failures.checkout_latest()
-            return int(self.models.version)
+        return self.newest()
 
     def newest(self) -> int:
         """See which models others have written meanwhile, but not their failures; returns the version."""
