@@ -11,6 +11,7 @@ __all__ = [
     "CoverageError",
     "GeometryError",
     "GeometryReadError",
+    "GeometryReadWarning",
     "MemoryEstimateError",
     "NotStarShapedError",
     "QuadratureWarning",
@@ -35,6 +36,10 @@ class CoverageError(GeometryError):
 
 class MemoryEstimateError(ValueError):
     """A request whose estimated memory exceeds the limit; refused before anything is allocated."""
+
+
+class GeometryReadWarning(UserWarning):
+    """A file that was read in spite of something; what, the message says."""
 
 
 class ConvergenceWarning(UserWarning):

@@ -168,7 +168,7 @@ def write_broken(folder: Path) -> None:
             "property float z\nend_header\nnothing like four thousand million points"
         ),
         "mesh_in_disguise.stl": "OFF\n4 4 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n",
-        "nan.xyz": "0 0 0\n1 0 0\nnan 1 0\n0 inf 1\n",
+        "nan.off": "OFF 4 2 0\n0 0 0\n1 0 0\nnan 1 0\n0 inf 1\n3 0 1 2\n3 0 1 3\n",
         "ragged.xyzn": "0 0 0 0 0 1\n1 0 0 0 0\n0 1 0 0 0 1\n",
         "ragged.xyzrgb": "0 0 0 1 0 0\n1 0 0\n0 1 0 0 1 0\n",
         "short.pcd": (

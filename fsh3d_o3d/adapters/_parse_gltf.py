@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d.adapters._parse_result import mesh_of
 from fsh3d_o3d.adapters._parse_text import text_reason
+from fsh3d_o3d.adapters._source import Source
 from fsh3d_o3d.adapters.geometry import MeshArrays
 from fsh3d_o3d.errors import GeometryReadError
 
@@ -24,8 +26,9 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _MAXIMUM_TRIANGLES = 100_000_000
 
 
-def parse_glb(data: bytes) -> MeshArrays:
+def parse_glb(source: Source) -> MeshArrays:
     """Return a binary glTF file as one mesh in scene coordinates."""
+    data = source.data
     if data[:4] != b"glTF" or len(data) < 20:
         raise GeometryReadError("does not begin with a whole glTF header")
     version, length = (int.from_bytes(data[at : at + 4], "little") for at in (4, 8))
@@ -43,12 +46,12 @@ def parse_glb(data: bytes) -> MeshArrays:
         at += 8 + size
     if b"JSON" not in chunks:
         raise GeometryReadError("damaged: there is no JSON chunk")
-    return _mesh(chunks[b"JSON"], chunks.get(b"BIN\0"))
+    return _mesh(source, chunks[b"JSON"], chunks.get(b"BIN\0"))
 
 
-def parse_gltf(data: bytes) -> MeshArrays:
+def parse_gltf(source: Source) -> MeshArrays:
     """Return a glTF file, whose buffers must be embedded, as one mesh in scene coordinates."""
-    return _mesh(data, None)
+    return _mesh(source, source.data, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +139,7 @@ def _natural(entry: dict[str, Any], name: str, default: int | None = None) -> in
     return value
 
 
-def _mesh(text: bytes, binary: bytes | None) -> MeshArrays:
+def _mesh(source: Source, text: bytes, binary: bytes | None) -> MeshArrays:
     try:
         tree = json.loads(text)
     except RecursionError:
@@ -167,7 +170,7 @@ def _mesh(text: bytes, binary: bytes | None) -> MeshArrays:
         vertex_total += len(points)
     if not triangles:
         raise GeometryReadError("no surface: the scene places no triangles")
-    return MeshArrays(np.concatenate(vertices), np.concatenate(triangles))
+    return mesh_of(source, np.concatenate(vertices), np.concatenate(triangles))
 
 
 def _placements(document: _Document) -> list[tuple[int, Float64Array]]:

@@ -6,7 +6,9 @@ import re
 
 import numpy as np
 
-from fsh3d_o3d.adapters._parse_text import TextLines, indices, mesh_of, text_reason, without_comments
+from fsh3d_o3d.adapters._parse_result import polygon_mesh_of
+from fsh3d_o3d.adapters._parse_text import TextLines, indices, text_reason, without_comments
+from fsh3d_o3d.adapters._source import Source
 from fsh3d_o3d.adapters.geometry import MeshArrays
 from fsh3d_o3d.errors import GeometryReadError
 
@@ -18,9 +20,11 @@ _KEYWORDS = (
 _KNOWN = np.array(_KEYWORDS.encode().split(), dtype="S12")
 
 
-def parse_obj(data: bytes) -> MeshArrays:
+def parse_obj(source: Source) -> MeshArrays:
     """Return an OBJ file as a mesh; polygons are cut into fans, negative indices count back from their line."""
-    text = re.sub(rb"\\[ \t]*\r?\n", b" ", without_comments(data)) if b"\\" in data else without_comments(data)
+    text = without_comments(source.data)
+    if b"\\" in text:
+        text = re.sub(rb"\\[ \t]*\r?\n", b" ", text)
     if b"/" in text:
         if re.search(rb"(?m)^[ \t]*f\b.*[ \t]/", text):
             raise GeometryReadError("a face corner begins with a slash: its vertex index is missing")
@@ -49,4 +53,4 @@ def parse_obj(data: bytes) -> MeshArrays:
     corners = np.where(corners > 0, corners - 1, seen + corners)
     if faces.counts.min() < 3:
         raise GeometryReadError(f"face {int(faces.counts.argmin())} has {faces.counts.min()} vertices")
-    return mesh_of(vertices, corners, faces.starts, faces.counts)
+    return polygon_mesh_of(source, vertices, corners, faces.starts, faces.counts)

@@ -6,7 +6,9 @@ import re
 
 import numpy as np
 
-from fsh3d_o3d.adapters._parse_text import TextLines, indices, mesh_of, without_comments
+from fsh3d_o3d.adapters._parse_result import polygon_mesh_of
+from fsh3d_o3d.adapters._parse_text import TextLines, indices, without_comments
+from fsh3d_o3d.adapters._source import Source
 from fsh3d_o3d.adapters.geometry import MeshArrays
 from fsh3d_o3d.errors import GeometryReadError
 
@@ -15,9 +17,9 @@ _HEADER = re.compile(rb"\s*(ST)?C?N?OFF\s*(\d{1,18})[ \t]+(\d{1,18})(?:[ \t]+\d+
 _KEYWORD = re.compile(rb"\s*(ST)?C?N?(4)?(n)?OFF")
 
 
-def parse_off(data: bytes) -> MeshArrays:
+def parse_off(source: Source) -> MeshArrays:
     """Return an OFF file as a mesh; vertex and face colours, normals and texture coordinates are passed over."""
-    text = without_comments(data)
+    text = without_comments(source.data)
     header = _HEADER.match(text)
     if header is None:
         raise GeometryReadError(_header_reason(text))
@@ -44,7 +46,7 @@ def parse_off(data: bytes) -> MeshArrays:
         # Behind its vertices a face may name its colour, as fractions too: only what is an index has to be whole.
         position = np.arange(len(values)) - np.repeat(starts, faces.counts)
         values = np.where(position <= np.repeat(sizes, faces.counts), values, 0)
-    return mesh_of(vertices, indices(values, "vertex indices"), starts + 1, sizes)
+    return polygon_mesh_of(source, vertices, indices(values, "vertex indices"), starts + 1, sizes)
 
 
 def _header_reason(text: bytes) -> str:

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d.adapters._parse_result import cloud_of
 from fsh3d_o3d.adapters._parse_text import TextLines, text_reason
+from fsh3d_o3d.adapters._source import Source
 from fsh3d_o3d.adapters.geometry import PointArrays
 from fsh3d_o3d.errors import GeometryReadError
 
@@ -38,8 +40,9 @@ class _Cloud:
         return np.dtype([(str(i), d, (c,)) for i, (d, c) in enumerate(zip(self.dtypes, self.counts, strict=True))])
 
 
-def parse_pcd(data: bytes) -> PointArrays:
-    """Return a PCD file with its normals and colours; NaN, its mark for missing points, is an error."""
+def parse_pcd(source: Source) -> PointArrays:
+    """Return a PCD file with its normals and colours, without the NaN points that mark what was not seen."""
+    data = source.data
     header = _HEADER.match(data[:_MAXIMUM_HEADER])
     if header is None:
         raise GeometryReadError("truncated: the header has no DATA line")
@@ -58,7 +61,7 @@ def parse_pcd(data: bytes) -> PointArrays:
     if any(name not in named or named[name].shape[1] != 1 for name in "xyz"):
         raise GeometryReadError("there are no fields x, y and z")
     normals = _stack(named, _NORMALS) if all(name in named for name in _NORMALS) else None
-    return PointArrays(_stack(named, "xyz"), normals, _colors(named))
+    return cloud_of(source, _stack(named, "xyz"), normals, _colors(named))
 
 
 def _cloud(header: bytes) -> _Cloud:

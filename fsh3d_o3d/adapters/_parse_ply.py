@@ -9,7 +9,9 @@ import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.adapters._parse_ply_binary import read_binary_element
-from fsh3d_o3d.adapters._parse_text import NumberRows, TextLines, indices, mesh_of, text_reason
+from fsh3d_o3d.adapters._parse_result import cloud_of, mesh_of, polygon_mesh_of
+from fsh3d_o3d.adapters._parse_text import NumberRows, TextLines, indices, text_reason
+from fsh3d_o3d.adapters._source import Source
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.errors import GeometryReadError
 
@@ -63,8 +65,9 @@ class PlyColumn:
     """Type in the file: colours are fractions or integers."""
 
 
-def parse_ply(data: bytes) -> MeshArrays | PointArrays:
+def parse_ply(source: Source) -> MeshArrays | PointArrays:
     """Return a PLY file as a mesh, or as a point cloud where it has no faces."""
+    data = source.data
     order, elements, offset = _header(data)
     tables = _read_text(data[offset:], elements) if order == "" else _read_binary(data, offset, elements)
     vertex = tables.get("vertex")
@@ -78,9 +81,9 @@ def parse_ply(data: bytes) -> MeshArrays | PointArrays:
             lists = next((columns[key] for key in _INDEX_LISTS if key in columns), None)
             if lists is None or lists.counts is None:
                 raise GeometryReadError(f"element {name} has no list of vertex indices")
-            return reader(points, indices(lists.values, "vertex indices"), lists.counts)
+            return reader(source, points, indices(lists.values, "vertex indices"), lists.counts)
     normals = _stack(vertex, ("nx", "ny", "nz")) if all(name in vertex for name in ("nx", "ny", "nz")) else None
-    return PointArrays(points, normals, _colors(vertex))
+    return cloud_of(source, points, normals, _colors(vertex))
 
 
 def _header(data: bytes) -> tuple[str, list[PlyElement], int]:
@@ -186,11 +189,11 @@ def _read_binary(data: bytes, offset: int, elements: list[PlyElement]) -> dict[s
     return tables
 
 
-def _polygons(points: Float64Array, corners: IntArray, counts: IntArray) -> MeshArrays:
-    return mesh_of(points, corners, np.cumsum(counts) - counts, counts)
+def _polygons(source: Source, points: Float64Array, corners: IntArray, counts: IntArray) -> MeshArrays:
+    return polygon_mesh_of(source, points, corners, np.cumsum(counts) - counts, counts)
 
 
-def _strips(points: Float64Array, strips: IntArray, counts: IntArray) -> MeshArrays:
+def _strips(source: Source, points: Float64Array, strips: IntArray, counts: IntArray) -> MeshArrays:
     """Triangles of strips that −1 ends; every second one is turned, stitches of no area are left out."""
     # Lists are separate strips as well: a −1 behind each.
     strips = np.insert(strips, np.cumsum(counts), -1)
@@ -200,7 +203,7 @@ def _strips(points: Float64Array, strips: IntArray, counts: IntArray) -> MeshArr
     real = (a != -1) & (b != -1) & (c != -1) & (a != b) & (b != c) & (a != c)
     odd = (position[:-2] - last_break[:-2] - 1) % 2 == 1
     triangles = np.stack([a, np.where(odd, c, b), np.where(odd, b, c)], axis=1)
-    return MeshArrays(points, triangles[real])
+    return mesh_of(source, points, triangles[real])
 
 
 def _stack(vertex: dict[str, PlyColumn], names: str | tuple[str, ...]) -> Float64Array:

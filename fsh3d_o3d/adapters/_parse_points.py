@@ -7,7 +7,9 @@ import re
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d.adapters._parse_result import cloud_of
 from fsh3d_o3d.adapters._parse_text import TextLines, without_comments
+from fsh3d_o3d.adapters._source import Source
 from fsh3d_o3d.adapters.geometry import PointArrays
 from fsh3d_o3d.errors import GeometryReadError
 
@@ -15,31 +17,31 @@ _UNIT = 1e-2  # how far the length of a printed normal may be from 1
 _COUNT_LINE = re.compile(rb"\s*(\d{1,18})[ \t]*(?=[\r\n]|$)")
 
 
-def parse_xyz(data: bytes) -> PointArrays:
+def parse_xyz(source: Source) -> PointArrays:
     """Return lines ``x y z …``; a fourth to sixth column are normals where all of them have length 1."""
-    table = _table(data)
+    table = _table(source.data)
     if table.shape[1] != 6:
-        return PointArrays(table[:, :3])
+        return cloud_of(source, table[:, :3])
     normals = table[:, 3:]
     unit = bool((np.abs(np.linalg.norm(normals, axis=1) - 1) < _UNIT).all())
-    return PointArrays(table[:, :3], normals if unit else None)
+    return cloud_of(source, table[:, :3], normals if unit else None)
 
 
-def parse_xyzn(data: bytes) -> PointArrays:
+def parse_xyzn(source: Source) -> PointArrays:
     """Return lines ``x y z nx ny nz``."""
-    table = _table(data, columns=6)
-    return PointArrays(table[:, :3], table[:, 3:])
+    table = _table(source.data, columns=6)
+    return cloud_of(source, table[:, :3], table[:, 3:])
 
 
-def parse_xyzrgb(data: bytes) -> PointArrays:
+def parse_xyzrgb(source: Source) -> PointArrays:
     """Return lines ``x y z r g b``, colours in [0, 1] or 0 … 255."""
-    table = _table(data, columns=6)
-    return PointArrays(table[:, :3], colors=_colors(table[:, 3:]))
+    table = _table(source.data, columns=6)
+    return cloud_of(source, table[:, :3], colors=_colors(table[:, 3:]))
 
 
-def parse_pts(data: bytes) -> PointArrays:
+def parse_pts(source: Source) -> PointArrays:
     """Return a number of points and lines ``x y z [intensity] [r g b]``, colours 0 … 255."""
-    text = without_comments(data)
+    text = without_comments(source.data)
     count = _COUNT_LINE.match(text)
     if count is None:
         raise GeometryReadError("the first line must be the number of points")
@@ -48,7 +50,7 @@ def parse_pts(data: bytes) -> PointArrays:
         raise GeometryReadError(f"the first line announces {int(count[1])} points, but {len(table)} follow")
     if table.shape[1] not in (3, 4, 6, 7):
         raise GeometryReadError(f"each point needs 3, 4, 6 or 7 numbers, found {table.shape[1]}")
-    return PointArrays(table[:, :3], colors=_bytes(table[:, -3:]) if table.shape[1] > 4 else None)
+    return cloud_of(source, table[:, :3], colors=_bytes(table[:, -3:]) if table.shape[1] > 4 else None)
 
 
 def _table(data: bytes, columns: int | None = None) -> Float64Array:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d.adapters._parse_result import mesh_of
 from fsh3d_o3d.adapters._parse_text import TextLines, text_reason
+from fsh3d_o3d.adapters._source import Source
 from fsh3d_o3d.adapters.geometry import MeshArrays
 from fsh3d_o3d.errors import GeometryReadError
 
@@ -21,14 +23,15 @@ def binary_stl_size(data: bytes) -> int | None:
     return _HEADER_BYTES + _FACET.itemsize * int.from_bytes(data[80:84], "little")
 
 
-def parse_stl(data: bytes) -> MeshArrays:
+def parse_stl(source: Source) -> MeshArrays:
     """Return an STL file as a mesh. STL lists loose triangles, so equal corners become one vertex."""
+    data = source.data
     expected = binary_stl_size(data)
     # Many binary headers begin with "solid" too: only the size tells the two kinds apart.
     if expected == len(data):
-        return _welded(np.frombuffer(data, dtype=_FACET, offset=_HEADER_BYTES)["corners"].reshape(-1, 3))
+        return _welded(source, np.frombuffer(data, dtype=_FACET, offset=_HEADER_BYTES)["corners"].reshape(-1, 3))
     if data.lstrip()[:5].lower() == b"solid":
-        return _welded(_text_corners(data))
+        return _welded(source, _text_corners(data))
     if expected is None:
         raise GeometryReadError(f"{len(data)} bytes are too few for a binary STL header, and it is not text")
     raise GeometryReadError(
@@ -55,7 +58,7 @@ def _text_corners(data: bytes) -> Float64Array:
     return corners
 
 
-def _welded(corners: Float64Array) -> MeshArrays:
+def _welded(source: Source, corners: Float64Array) -> MeshArrays:
     if not len(corners):
         raise GeometryReadError("the file announces 0 triangles")
     # Adding 0 turns −0 into +0; then equal numbers have equal bytes, and one comparison sorts a whole corner.
@@ -65,4 +68,4 @@ def _welded(corners: Float64Array) -> MeshArrays:
     order = np.argsort(first)  # vertices in the order of the file, not of their bytes
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
-    return MeshArrays(corners[first[order]], rank[inverse.ravel()].reshape(-1, 3))
+    return mesh_of(source, corners[first[order]], rank[inverse.ravel()].reshape(-1, 3))

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.adapters.geometry import MeshArrays
 from fsh3d_o3d.errors import GeometryReadError
 
 # Control characters count as white space when tokens are cut; NumPy then stops at those that are none, an error.
@@ -155,30 +154,6 @@ def indices(values: Float64Array, what: str) -> IntArray:
     if not good.all():
         raise GeometryReadError(f"{what} must be whole numbers, found {values[~good][0]:g}")
     return result
-
-
-def fan_triangles(polygons: IntArray, starts: IntArray, counts: IntArray) -> IntArray:
-    """Cut polygons into fans around their first vertex, keeping their sense of rotation.
-
-    Args:
-        polygons: (m,) vertex indices, one polygon after another, possibly with other values between them.
-        starts: (p,) where each polygon begins in ``polygons``.
-        counts: (p,) vertices of each polygon; those of one or two have no area and give no triangle.
-
-    Returns:
-        (Σ max(0, counts − 2), 3) triangles in the order of the polygons.
-    """
-    if len(counts) and counts.min() < 1:
-        raise GeometryReadError(f"a face with {counts.min()} vertices")
-    fans = np.maximum(counts - 2, 0)
-    corner = np.repeat(starts, fans)
-    step = np.arange(len(corner)) - np.repeat(np.cumsum(fans) - fans, fans)
-    return np.stack([polygons[corner], polygons[corner + step + 1], polygons[corner + step + 2]], axis=1)
-
-
-def mesh_of(vertices: Float64Array, polygons: IntArray, starts: IntArray, counts: IntArray) -> MeshArrays:
-    """Return polygons over ``vertices`` as a triangle mesh."""
-    return MeshArrays(vertices, fan_triangles(polygons, starts, counts))
 
 
 def without_comments(text: bytes) -> bytes:

@@ -7,6 +7,7 @@ untrusted files (a truncated file becomes part of a mesh) or slow to start; trim
 from __future__ import annotations
 
 import errno
+import functools
 import os
 import re
 import stat
@@ -24,10 +25,13 @@ from fsh3d_o3d.adapters._parse_pcd import parse_pcd
 from fsh3d_o3d.adapters._parse_ply import parse_ply
 from fsh3d_o3d.adapters._parse_points import parse_pts, parse_xyz, parse_xyzn, parse_xyzrgb
 from fsh3d_o3d.adapters._parse_stl import binary_stl_size, parse_stl
+from fsh3d_o3d.adapters._source import ReadFile, Source, plain_text
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.errors import GeometryError, GeometryReadError
 
-PARSERS: dict[str, Callable[[bytes], MeshArrays | PointArrays]] = {
+Parser = Callable[[Source], MeshArrays | PointArrays]
+
+PARSERS: dict[str, Parser] = {
     ".off": parse_off,
     ".obj": parse_obj,
     ".ply": parse_ply,
@@ -62,8 +66,8 @@ _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
 )
 
 
-def read_file(path: str) -> MeshArrays | PointArrays:
-    """Return a file as arrays, read in this process.
+def read_file(path: str) -> ReadFile:
+    """Return a file, read in this process.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -94,25 +98,29 @@ def file_content(path: str) -> bytes:
     return data
 
 
-def parse_content(path: str, data: bytes) -> MeshArrays | PointArrays:
-    """Return the bytes of a file as arrays; its name tells the format.
+def parse_content(path: str, data: bytes) -> ReadFile:
+    """Return what the bytes of a file hold; its name tells the format, and where to look for what lies beside it.
 
     Raises:
         GeometryReadError: They cannot be, in one line with the file's name.
     """
     parser = parser_for(path)
+    source = Source(data, functools.partial(_content_beside, path))
     try:
+        if parser is not parse_glb:
+            source.data = plain_text(source)
         with np.errstate(all="ignore"):  # what is not finite is an error, not a warning
-            return parser(data)
+            geometry = parser(source)
     except MemoryError:
         raise read_error(path, _TOO_LITTLE_MEMORY) from None
     except GeometryError as error:
         raise read_error(path, _with_sniffed(path, data, str(error))) from None
     except Exception as error:  # what no parser foresaw in a file is the file's fault for the caller all the same
         raise read_error(path, f"cannot be parsed ({type(error).__name__}: {error})") from error
+    return ReadFile(geometry, tuple(source.notes), tuple(source.used.values()))
 
 
-def parser_for(path: str) -> Callable[[bytes], MeshArrays | PointArrays]:
+def parser_for(path: str) -> Parser:
     """Return the parser that the extension names, whatever its case."""
     suffix = Path(path).suffix.lower()
     if suffix not in PARSERS:
@@ -124,6 +132,15 @@ def parser_for(path: str) -> Callable[[bytes], MeshArrays | PointArrays]:
 def read_error(path: str, reason: str) -> GeometryReadError:
     """Return the error for a file: one line of printable characters, whatever its name and content."""
     return GeometryReadError(_one_line(f"{path}: {reason}"))
+
+
+def _content_beside(path: str, name: str) -> bytes:
+    folder = path.rpartition("/")[0] if is_uri(path) else os.path.dirname(path)  # noqa: PTH120 - any bytes
+    try:
+        return file_content(f"{folder}/{name}" if is_uri(path) else os.path.join(folder, name))  # noqa: PTH118 - same
+    except (OSError, GeometryError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise GeometryReadError(f"it needs the file '{name}' beside it: {reason}") from None
 
 
 def _regular_content(path: str) -> bytes:

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.adapters._parsers import read_error
+from fsh3d_o3d.adapters._source import ReadFile
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.errors import GeometryError
 
@@ -71,7 +72,7 @@ class ReaderProcess:
         self._process: subprocess.Popen[bytes] | None = None
         self._storage: dict[str, str] = {}
 
-    def read(self, path: str, *, timeout: float, memory_limit: int) -> MeshArrays | PointArrays:
+    def read(self, path: str, *, timeout: float, memory_limit: int) -> ReadFile:
         """Return what the process read from an absolute path.
 
         Raises:
@@ -90,7 +91,7 @@ class ReaderProcess:
             except BaseException:  # an interrupt leaves half an answer in the pipe
                 self._stop()
                 raise
-        return _geometry(path, answer)
+        return _read_file(path, answer)
 
     def close(self) -> None:
         """End the process, if there is one, also while another thread waits for its answer."""
@@ -195,7 +196,7 @@ def _receive(process: subprocess.Popen[bytes], size: int, deadline: float) -> ND
     return result
 
 
-def _geometry(path: str, answer: dict[str, Any]) -> MeshArrays | PointArrays:
+def _read_file(path: str, answer: dict[str, Any]) -> ReadFile:
     if answer.get("error") == "FileNotFoundError":
         raise FileNotFoundError(errno.ENOENT, "No such file", path)
     if "error" in answer or answer.get("kind") not in _CLASSES:
@@ -205,7 +206,7 @@ def _geometry(path: str, answer: dict[str, Any]) -> MeshArrays | PointArrays:
         geometry: MeshArrays | PointArrays = kind(
             **{name: answer["arrays"][name]["data"] for name in _FIELDS[kind] if name in answer["arrays"]}
         )
-        return geometry
+        return ReadFile(geometry, tuple(str(note) for note in answer.get("notes", [])))
     except (GeometryError, LookupError, TypeError, AttributeError) as error:
         raise read_error(path, str(error)) from None
 
@@ -221,7 +222,7 @@ def serve(function: str) -> None:
     output = os.dup(1)  # the answers' own descriptor: a stray print cannot mix with them
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     module, _, name = function.partition(":")
-    read: Callable[[str], MeshArrays | PointArrays] = getattr(importlib.import_module(module), name)
+    read: Callable[[str], ReadFile] = getattr(importlib.import_module(module), name)
     os.write(output, b"+")
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     for line in sys.stdin.buffer:
@@ -235,19 +236,20 @@ def serve(function: str) -> None:
             _send(output, memoryview(cast(Any, array)).cast("B"))
 
 
-def _answer(read: Callable[[str], MeshArrays | PointArrays], path: str) -> tuple[dict[str, Any], list[Float64Array]]:
+def _answer(read: Callable[[str], ReadFile], path: str) -> tuple[dict[str, Any], list[Float64Array]]:
     try:
-        geometry = read(path)
+        found = read(path)
     except FileNotFoundError:
         return {"error": "FileNotFoundError"}, []
     except GeometryError as error:
         return {"error": "GeometryReadError", "reason": str(error).removeprefix(f"{path}: ")}, []
     except MemoryError:
         return {"error": "GeometryReadError", "reason": "needs more memory than the reader is allowed"}, []
+    geometry = found.geometry
     arrays = {name: getattr(geometry, name) for name in _FIELDS[type(geometry)]}
     given = {name: array for name, array in arrays.items() if array is not None}
     described = {name: {"dtype": array.dtype.str[1:], "shape": array.shape} for name, array in given.items()}
-    return {"kind": type(geometry).__name__, "arrays": described}, list(given.values())
+    return {"kind": type(geometry).__name__, "arrays": described, "notes": found.notes}, list(given.values())
 
 
 def _address_space() -> int:

@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import atexit
 import os
+import warnings
 from typing import Any
 
 from fsh3d_o3d._validation import integer, number
 from fsh3d_o3d.adapters._object_storage import absolute
 from fsh3d_o3d.adapters._parsers import PARSERS, parser_for, read_file
 from fsh3d_o3d.adapters._reader_process import ReaderProcess
+from fsh3d_o3d.adapters._source import ReadFile
 from fsh3d_o3d.adapters.geometry import GeometryKind, MeshArrays, PointArrays, open3d_mesh, open3d_point_cloud
+from fsh3d_o3d.errors import GeometryReadWarning
 
 READABLE_FORMATS: tuple[str, ...] = tuple(PARSERS)
 """Extensions that are read."""
@@ -48,7 +51,24 @@ def read_geometry_arrays(
     Raises:
         FileNotFoundError: There is no such file.
         GeometryReadError: The file cannot be read: one line that names the file and the reason.
+
+    Warns:
+        GeometryReadWarning: The file was read in spite of something.
     """
+    found = read_geometry_file(path, isolated=isolated, timeout=timeout, memory_limit=memory_limit)
+    for note in found.notes:
+        warnings.warn(f"{os.fsdecode(path)}: {note}", GeometryReadWarning, stacklevel=2)
+    return found.geometry
+
+
+def read_geometry_file(
+    path: str | os.PathLike[str],
+    *,
+    isolated: bool = True,
+    timeout: float = 120.0,
+    memory_limit: int = 8 * 2**30,
+) -> ReadFile:
+    """Read like ``read_geometry_arrays``, but return what is to be said of the file instead of warning."""
     name = absolute(path)
     timeout = number(timeout, "timeout", minimum=0, exclusive=True)
     memory_limit = integer(memory_limit, "memory_limit", minimum=2**20)

@@ -11,7 +11,7 @@ from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.mesh_measures import measure_mesh, weld
 from fsh3d_o3d.adapters.radial_cloud import cloud_center, fit_radial_cloud
 from fsh3d_o3d.adapters.radial_mesh import ACCEPTED_DIRECTIONS, HIDDEN_AREA
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
+from fsh3d_o3d.adapters.reading import read_geometry_file
 from fsh3d_o3d.adapters.star import StarReport, star_center
 from fsh3d_o3d.cli._console import Progress, add_output_options, print_json
 from fsh3d_o3d.errors import GeometryError
@@ -35,16 +35,18 @@ def run(options: argparse.Namespace) -> int:
     """Print the description."""
     with Progress(2, not options.quiet) as progress:
         progress.step("reading")
-        geometry = read_geometry_arrays(options.file)
+        found = read_geometry_file(options.file)
         progress.step("measuring")
-        facts = describe(geometry)
+        facts = describe(found.geometry)
     if options.json:
-        print_json({"file": os.fspath(options.file), **facts})
+        print_json({"file": os.fspath(options.file), **facts, "notes": list(found.notes)})
     else:
         width = max(map(len, facts))
         print(options.file)
         for name, value in facts.items():
             print(f"  {name.replace('_', ' '):<{width}}  {_shown(value)}")
+        for note in found.notes:
+            print(f"  {'note':<{width}}  {note}")
     return 0
 
 

@@ -120,7 +120,7 @@ class DescribeFile:
             if identity(path, content) in self.known:
                 return Described(state, content, None)
             # Not in yet another process: this one is the one that may die.
-            geometry = parse_content(path, data)
+            geometry = parse_content(path, data).geometry
             del data
             signature = describe(geometry, self.option)
             mesh = geometry if isinstance(geometry, MeshArrays) else None

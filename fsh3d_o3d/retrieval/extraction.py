@@ -20,7 +20,7 @@ from tqdm import tqdm
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
+from fsh3d_o3d.adapters.reading import read_geometry_file
 from fsh3d_o3d.retrieval.descriptor_cache import CachedDescriptor, DescriptorCache, descriptor_key
 from fsh3d_o3d.retrieval.worker_pool import run_tasks
 
@@ -146,7 +146,7 @@ class _Describe:
     def __call__(self, path: str) -> CachedDescriptor:
         start = time.process_time()
         # Not in yet another process: this one is the one that may die.
-        geometry = read_geometry_arrays(path, isolated=False)
+        geometry = read_geometry_file(path, isolated=False).geometry
         values = np.asarray(self.descriptor.describe(geometry), dtype=np.float32)
         if values.ndim != 1 or values.size == 0:
             raise ValueError(f"its descriptor should have shape (d,), got {values.shape}")

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from fsh3d_o3d.adapters._source import ReadFile
 from fsh3d_o3d.adapters.geometry import PointArrays
 
 
-def read(path: str) -> PointArrays:
+def read(path: str) -> ReadFile:
     """Do what the file's name says."""
     match Path(path).stem:
         case "crash":
@@ -40,5 +41,5 @@ def read(path: str) -> PointArrays:
             sys.stdout.write("more noise")
             sys.stdout.flush()
         case "large":
-            return PointArrays(np.full((200_000, 3), 2.5))
-    return PointArrays(np.array([[float(os.getpid()), 0, 0]]))
+            return ReadFile(PointArrays(np.full((200_000, 3), 2.5)))
+    return ReadFile(PointArrays(np.array([[float(os.getpid()), 0, 0]])))

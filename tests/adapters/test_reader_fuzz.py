@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsh3d_o3d.adapters.geometry import MeshArrays
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
+from fsh3d_o3d.adapters.reading import read_geometry_file
 from fsh3d_o3d.errors import GeometryReadError
 from tests.adapters import mutations
 
@@ -17,7 +17,7 @@ LARGEST = 64 * 2**20  # bytes: thousands of times the size of the files, and far
 def check(path, *, isolated: bool) -> str:
     """Read a damaged file; return "read" or "refused", and fail at anything between."""
     try:
-        geometry = read_geometry_arrays(path, isolated=isolated, timeout=20)
+        geometry = read_geometry_file(path, isolated=isolated, timeout=20).geometry
     except GeometryReadError as error:
         message = str(error)
         assert message.startswith(f"{path}: ") and message.isprintable() and len(message) < 600, message

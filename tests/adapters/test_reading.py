@@ -23,7 +23,7 @@ from fsh3d_o3d.adapters import _parse_text, reading
 from fsh3d_o3d.adapters._reader_process import ReaderProcess
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.reading import READABLE_FORMATS, read_geometry, read_geometry_arrays
-from fsh3d_o3d.errors import GeometryReadError
+from fsh3d_o3d.errors import GeometryReadError, GeometryReadWarning
 from tests.adapters import mutations
 
 FILES = mutations.valid_files()
@@ -105,6 +105,22 @@ def test_extension_in_capitals_and_odd_file_names(write):
     name = os.fsencode(path.parent) + b"/\xff.off"
     Path(os.fsdecode(name)).write_bytes(FILES["plain.off"].data)
     assert len(read_geometry_arrays(name).triangles) == 8
+
+
+@pytest.mark.parametrize("isolated", [True, False])
+def test_points_that_are_not_finite_are_left_out_with_a_note(isolated, write):
+    path = write("n.xyz", "0 0 inf\n1e999 0 0\n1 1 1\n2 nan 0\n3 4 5\n")
+    with pytest.warns(GeometryReadWarning, match="n.xyz: 3 of 5 points are NaN or infinite"):
+        cloud = read_geometry_arrays(path, isolated=isolated)
+    np.testing.assert_array_equal(cloud.points, [[1, 1, 1], [3, 4, 5]])
+
+
+def test_vertices_that_no_face_uses_may_be_nan(write):
+    path = write("n.off", "OFF 5 2 0\nnan 0 0\n0 0 0\n1 0 0\nnan 0 inf\n0 1 0\n3 1 2 4\n3 1 4 2\n")
+    with pytest.warns(GeometryReadWarning, match="2 vertices that no face uses"):
+        mesh = read_geometry_arrays(path)
+    np.testing.assert_array_equal(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    np.testing.assert_array_equal(mesh.triangles, [[0, 1, 2], [0, 2, 1]])
 
 
 @settings(max_examples=300)
@@ -253,7 +269,6 @@ def test_line_cut_short_is_an_error_where_nothing_is_counted(name, write):
             "empty",
         ),
         ("n.off", "OFF 3 1 0\n0 0 0\n1 nan 0\n0 1 0\n3 0 1 2\n", "1 of 3 are NaN or infinite"),
-        ("n.xyz", "0 0 inf\n1e999 0 0\n1 1 1\n", "2 of 3 are NaN or infinite"),
         ("r.off", "OFF 3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n", "vertices 0 … 3, but there are vertices 0 … 2"),
         ("r.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -4 1 2\n", "refer to vertices -1"),
         ("r.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "counts from 1"),
@@ -388,7 +403,7 @@ def test_open3d_objects(write):
 @pytest.fixture
 def hostile():
     reader = ReaderProcess("tests.adapters.hostile_parser:read")
-    yield lambda name, timeout=60.0: reader.read(f"/{name}.xyz", timeout=timeout, memory_limit=2**30)
+    yield lambda name, timeout=60.0: reader.read(f"/{name}.xyz", timeout=timeout, memory_limit=2**30).geometry
     reader.close()
 
 

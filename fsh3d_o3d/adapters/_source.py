@@ -1,0 +1,86 @@
+"""What a parser is given and gives back (private): a file's bytes, what lies beside it, what is to be said."""
+
+from __future__ import annotations
+
+import codecs
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
+from fsh3d_o3d.errors import GeometryReadError
+
+_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+_UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
+# A plain name: no folder, no drive, no scheme, nothing hidden in percent signs.
+_PLAIN_NAME = re.compile(r"[^/\\:%\x00-\x1f\x7f]+")
+
+
+def _nothing_beside(name: str) -> bytes:
+    raise GeometryReadError(f"it needs the file '{name}' beside it, and was given alone")
+
+
+@dataclass(eq=False)
+class Source:
+    """A file while it is parsed."""
+
+    data: bytes
+    """The content."""
+    content_beside: Callable[[str], bytes] = _nothing_beside
+    """Returns the content of another file of the same folder by its plain name, or raises ``GeometryReadError``."""
+    notes: list[str] = field(default_factory=list)
+    """What was read in spite of something, one sentence without a full stop each."""
+    used: dict[str, bytes] = field(default_factory=dict)
+    """Content of the other files that were needed, by name."""
+
+    def note(self, sentence: str) -> None:
+        """Keep a sentence for the reader of the file; each is kept once."""
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
+    def beside(self, name: str) -> bytes:
+        """Return the content of a file in the same folder.
+
+        Raises:
+            GeometryReadError: The name is more than a plain name, or the file cannot be read.
+        """
+        if name not in self.used:
+            if not _PLAIN_NAME.fullmatch(name) or name in (os.curdir, os.pardir):
+                raise GeometryReadError(f"it asks for '{name[:80]}': only plain names in the same folder are opened")
+            self.used[name] = self.content_beside(name)
+        return self.used[name]
+
+
+@dataclass(frozen=True, eq=False)
+class ReadFile:
+    """A file that was read."""
+
+    geometry: MeshArrays | PointArrays
+    """What it holds."""
+    notes: tuple[str, ...] = ()
+    """What was read in spite of something, one sentence each."""
+    used: tuple[bytes, ...] = ()
+    """Content of the other files that were needed, in the order in which they were asked for."""
+
+
+def plain_text(source: Source) -> bytes:
+    """Return the content without a byte-order mark, in UTF-8 where it was UTF-16.
+
+    Raises:
+        GeometryReadError: It is a Git LFS pointer.
+    """
+    data = source.data
+    if data.startswith(_LFS_POINTER):
+        raise GeometryReadError("a Git LFS pointer, not the file itself: fetch it with 'git lfs pull'")
+    if data.startswith(codecs.BOM_UTF8):
+        return data[len(codecs.BOM_UTF8) :]
+    encoding = _UTF16.get(data[:2])
+    if encoding is None:
+        return data
+    try:
+        text = data[2:].decode(encoding).encode("utf-8")
+    except UnicodeError:  # those two bytes are something else
+        return data
+    source.note("the text is UTF-16")
+    return text
