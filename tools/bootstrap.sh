@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Makes .venv with the package and what it needs, and installs the system libraries that Open3D links to where they are missing.
 # Usage: tools/bootstrap.sh EXTRAS [PACKAGE...]    for example: tools/bootstrap.sh cpu,dev chromium
-# Quick when there is nothing to do. Debian and Ubuntu; elsewhere it names the libraries to install.
+# Quick when there is nothing to do. Installs by itself on Debian and Ubuntu; on other Linux it names the libraries to install.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 extras=${1:-cpu}
@@ -16,7 +16,7 @@ install_packages() {
         if command -v sudo >/dev/null 2>&1 && { sudo -n true 2>/dev/null || [ -t 0 ]; }; then
             become="sudo"
         else
-            fail "these system packages are missing and this user may not install them: $*. Run as root: apt-get install $*"
+            fail "these system packages are missing and this user may not install them: $*. As root: apt-get install $*"
         fi
     fi
     command -v apt-get >/dev/null 2>&1 || fail "install the equivalents of these Debian packages and run this again: $*"
@@ -26,13 +26,24 @@ install_packages() {
         || fail "apt-get could not install: $*"
 }
 
-library_missing() { ! { ldconfig -p 2>/dev/null || /sbin/ldconfig -p; } | grep -q "$1"; }
+system=$(uname -s)
+[ "$system" = Linux ] || fail "this sets up Linux only, and the system here is $system. There is an open3d wheel for macOS and Windows:" \
+    "\"pip install '.[cuda]'\" takes it, but the package is not tested there"
+
+# Asked for once and kept: a reader that leaves a pipe at the first match kills ldconfig, which then counts as failed.
+libraries=$({ PATH="$PATH:/usr/sbin:/sbin" ldconfig -p; } 2>/dev/null) || libraries=""
+library_missing() { [[ $libraries != *[[:space:]]"$1 ("* ]]; }  # the whole name, literally: "libGL.so.1 (libc6,x86-64) => …"
 
 missing=()
-library_missing libusb-1.0.so.0 && missing+=(libusb-1.0-0)
-library_missing libGL.so.1 && missing+=(libgl1)
-library_missing libgomp.so.1 && missing+=(libgomp1)
-library_missing libX11.so.6 && missing+=(libx11-6)
+if [ -n "$libraries" ]; then
+    library_missing libusb-1.0.so.0 && missing+=(libusb-1.0-0)
+    library_missing libGL.so.1 && missing+=(libgl1)
+    library_missing libgomp.so.1 && missing+=(libgomp1)
+    library_missing libX11.so.6 && missing+=(libx11-6)
+else
+    say "setup: there is no ldconfig here to look for system libraries with;" \
+        "Open3D needs libusb-1.0.so.0, libGL.so.1, libgomp.so.1 and libX11.so.6"
+fi
 for program in "$@"; do
     command -v "$program" >/dev/null 2>&1 || missing+=("$program")
 done
