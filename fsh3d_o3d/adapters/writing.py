@@ -1,17 +1,14 @@
-"""Geometry and other results into files: whole, or not at all."""
+"""Geometry into files: whole, or not at all."""
 
 from __future__ import annotations
 
-import contextlib
-import errno
 import os
-import secrets
-import stat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.adapters._serialise import CLOUD_WRITERS, MESH_WRITERS, Surface
 from fsh3d_o3d.adapters.geometry import PointArrays, geometry_arrays, vertex_attributes
 from fsh3d_o3d.errors import GeometryError
@@ -53,44 +50,6 @@ def write_geometry(path: str | os.PathLike[str], geometry: Any) -> None:
     if suffix not in writers:
         raise ValueError(f"{str(target)!r}: {suffix} cannot hold a {what}; choose {' '.join(writers)}")
     atomic_write_bytes(target, writers[suffix](surface))
-
-
-def atomic_write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write ``data`` to a new file beside ``path``, then give it the name: readers see the old content or the new.
-
-    A link is followed, an existing file's permissions are kept, a new file's follow the umask.
-
-    Raises:
-        OSError: With ``path`` as its file name; the target is as it was and nothing else is left behind.
-    """
-    given = os.fspath(path)
-    try:
-        _replace(Path(os.path.realpath(given)), data)
-    except OSError as error:
-        if error.errno is None:
-            raise
-        raise OSError(error.errno, error.strerror, given) from None
-
-
-def _replace(target: Path, data: bytes) -> None:
-    mode = None
-    with contextlib.suppress(FileNotFoundError):
-        mode = target.stat().st_mode
-    if mode is not None and stat.S_ISDIR(mode):
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-    if mode is not None and not stat.S_ISREG(mode):
-        raise OSError(errno.EINVAL, "not a regular file, so it is not replaced")
-    temporary = target.with_name(f".fsh3d-{secrets.token_hex(8)}{target.suffix[:16]}")
-    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
-    try:
-        with open(descriptor, "wb") as file:  # noqa: PTH123 - a descriptor, not a path
-            if mode is not None:
-                os.fchmod(descriptor, stat.S_IMODE(mode) & 0o777)
-            file.write(data)
-        temporary.replace(target)
-    except BaseException:  # an interrupt too
-        temporary.unlink(missing_ok=True)
-        raise
 
 
 def _surface(geometry: Any) -> Surface:

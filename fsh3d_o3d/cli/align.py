@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.adapters.writing import (
     WRITABLE_CLOUD_FORMATS,
     WRITABLE_MESH_FORMATS,
-    atomic_write_bytes,
     write_geometry,
 )
 from fsh3d_o3d.cli._console import Progress, print_json

@@ -9,7 +9,7 @@ from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
-from fsh3d_o3d.adapters.writing import atomic_write_bytes
+from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.cli.describe import SHD_OPTIONS
 from fsh3d_o3d.descriptors import CPSHDOption
 from fsh3d_o3d.retrieval.classification import read_classification

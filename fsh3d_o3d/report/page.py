@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d._validation import Float64Array, real_array
 from fsh3d_o3d._version import __version__
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays, geometry_arrays
-from fsh3d_o3d.adapters.writing import atomic_write_bytes
 from fsh3d_o3d.report._colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, color_stops, css_color, error_colors
 from fsh3d_o3d.report._display import Displayed, common_frame, displayed, geometry_json, packed, shaded_points
 from fsh3d_o3d.report._figures import FigureValue, figure_rows, percent_text

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d._version import __version__
 from fsh3d_o3d.adapters._rays import Frame
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
-from fsh3d_o3d.adapters.writing import atomic_write_bytes
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.report._colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, css_color
 from fsh3d_o3d.report._display import Displayed, displayed, geometry_json

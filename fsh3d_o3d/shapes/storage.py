@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsh3d_o3d.adapters.writing import atomic_write_bytes
+from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.errors import GeometryReadError
 
 FORMAT_VERSION = 1

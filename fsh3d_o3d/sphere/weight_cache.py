@@ -1,18 +1,18 @@
 """Solved weights, kept in memory and on disk.
 
 A file holds one solution under a name made of everything it depends on, and a checksum of itself; one that does not
-match is solved again. Files are written under a temporary name and renamed, so that processes may share the folder. A
-folder that cannot be written is no error: the weights are then solved each time. ``FSH3D_CACHE_DIR`` moves it.
+match is solved again. Files are written whole or not at all, so that processes may share the folder. A folder that
+cannot be written is no error: the weights are then solved each time. ``FSH3D_CACHE_DIR`` moves it.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import json
 import logging
 import os
-import tempfile
 import threading
 from collections import OrderedDict
 from pathlib import Path
@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import platformdirs
 
+from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.sphere.grids import SphericalGrid
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ def clear_weight_cache() -> int:
     with _lock:
         _memory.clear()
     removed = 0
+    # What a killed process left begins with a dot and ends in .npz; in .tmp, where an older version wrote it.
     for path in [*weight_cache_directory().glob("*.npz"), *weight_cache_directory().glob("*.tmp")]:
         with contextlib.suppress(OSError):
             path.unlink()
@@ -78,14 +80,9 @@ def keep(key: str, solution: WeightSolution) -> None:
     about["sha256"] = _digest(key, solution.weights, about)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                np.savez(file, weights=solution.weights, about=np.array(json.dumps(about)))
-            Path(temporary).replace(path)
-        except BaseException:
-            Path(temporary).unlink()
-            raise
+        archive = io.BytesIO()
+        np.savez(archive, weights=solution.weights, about=np.array(json.dumps(about)))
+        atomic_write_bytes(path, archive.getvalue())
     except OSError as error:
         _log.debug("weights not cached in %s: %s", path.parent, error)
 

@@ -10,6 +10,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d.adapters import _serialise
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
@@ -17,7 +18,6 @@ from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.adapters.writing import (
     WRITABLE_CLOUD_FORMATS,
     WRITABLE_MESH_FORMATS,
-    atomic_write_bytes,
     write_geometry,
 )
 from fsh3d_o3d.errors import GeometryError
