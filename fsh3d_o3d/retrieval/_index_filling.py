@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tqdm import tqdm
@@ -52,6 +53,9 @@ class Filling:
     _models: dict[str, FileState] = field(default_factory=dict)
     _failures: dict[str, tuple[FileState, str]] = field(default_factory=dict)
     _known: frozenset[bytes] = frozenset()
+    _lost: list[str] = field(default_factory=list)
+    _added: int = 0
+    _moved: int = 0
     _written: float = field(default_factory=time.monotonic)
 
     def run(
@@ -88,29 +92,45 @@ class Filling:
                     self._stale.add(path)
                 continue
             todo[path] = state
-        counts = {"added": 0, "moved": 0}
-        function = DescribeFile(self.option, self._known, describe.thumbnail, describe.memory_limit)
+        describe = replace(describe, option=self.option, known=self._known)
+        map_over = functools.partial(run_elsewhere or run_tasks, workers=workers, timeout=timeout)
+        with tqdm(total=len(todo), unit="model", leave=False, disable=not (progress and sys.stderr.isatty())) as bar:
+            self._work(todo, describe, reasons, map_over, bar)
+            if self._lost:
+                # Their content was known from rows that are gone since, as two files that swapped names leave it where
+                # the first was written before the second was read.
+                again, self._lost = {path: todo[path] for path in self._lost}, []
+                bar.total = len(todo) + len(again)
+                self._work(again, replace(describe, known=frozenset()), reasons, map_over, bar)
+        return IndexUpdate(
+            added=self._added,
+            moved=self._moved,
+            unchanged=len(paths) - len(reasons) - self._added - self._moved,
+            failed=tuple(FailedInput(path, reasons[path]) for path in paths if path in reasons),
+        )
+
+    def _work(
+        self,
+        todo: dict[str, FileState],
+        describe: DescribeFile,
+        reasons: dict[str, str],
+        map_over: Callable[..., Generator[Outcome[Any], None, None]],
+        bar: Any,
+    ) -> None:
+        """Describe files, write what comes of it by and by, and put down why there are failures."""
         tasks = list(todo)
-        run = run_elsewhere or run_tasks
-        bar = tqdm(total=len(tasks), unit="model", leave=False, disable=not (progress and sys.stderr.isatty()))
         # Closed whatever happens here: an interrupt must not leave processes behind.
-        with bar, closing(run(function, tasks, workers=workers, timeout=timeout)) as outcomes:
+        with closing(map_over(describe, tasks)) as outcomes:
             for outcome in outcomes:
                 path = tasks[outcome.index]
                 if outcome.result is None:
                     reasons[path] = _one_line(outcome.reason or "", path)
                     self._failed.append((path, todo[path], reasons[path]))
                 else:
-                    counts["moved" if outcome.result.signature is None else "added"] += 1
                     self._described.append((path, outcome.result))
                 bar.update()
                 self._write_if_due()
         self._write()
-        return IndexUpdate(
-            **counts,
-            unchanged=len(paths) - len(reasons) - sum(counts.values()),
-            failed=tuple(FailedInput(path, reasons[path]) for path in paths if path in reasons),
-        )
 
     def _load(self) -> None:
         self.store.refresh()
@@ -149,22 +169,26 @@ class Filling:
         self._written = time.monotonic()
 
     def _write_models(self) -> None:
+        """Put in what was described and what moved, in one commit: a row may replace the one that another needs."""
         new = [(path, found) for path, found in self._described if found.signature is not None]
-        if new:
-            paths, found = zip(*new, strict=True)
-            self.store.put(self.store.models, model_columns(paths, found, self.option, self.store.basis))
         moved = [(path, found) for path, found in self._described if found.signature is None]
+        parts = []
         if moved:
-            paths, found = zip(*moved, strict=True)
             wanted = [identity(path, one.content) for path, one in moved]
             rows = self.store.where("identity", sorted(set(wanted)), self.store.models.schema.names)
             place = {value: index for index, value in enumerate(rows["identity"].to_pylist())}
-            # Pruned by another process meanwhile: the next run describes it.
-            kept = [index for index, value in enumerate(wanted) if value in place]
+            kept = [one for one, value in zip(moved, wanted, strict=True) if value in place]
+            self._lost += [path for (path, _), value in zip(moved, wanted, strict=True) if value not in place]
             if kept:
-                taken = rows.take([place[wanted[index]] for index in kept])
-                columns = moved_columns(taken, [paths[k] for k in kept], [found[k] for k in kept])
-                self.store.put(self.store.models, columns)
+                taken = rows.take([place[value] for value in wanted if value in place])
+                parts.append(moved_columns(taken, *zip(*kept, strict=True)))
+            self._moved += len(kept)
+        if new:
+            paths, found = zip(*new, strict=True)
+            parts.append(model_columns(paths, found, self.option, self.store.basis))
+            self._added += len(new)
+        if parts:
+            self.store.put(self.store.models, *parts)
 
 
 def _one_line(reason: str, path: str) -> str:

@@ -150,12 +150,16 @@ class IndexStore:
         with translated(self.path, "reading it"):
             return self.models.search().where(condition).select(list(names)).limit(self.models.count_rows()).to_arrow()
 
-    def put(self, table: Any, columns: Mapping[str, Any]) -> None:
-        """Insert rows, or replace those of the same paths, in one commit."""
+    def put(self, table: Any, *parts: Mapping[str, Any]) -> None:
+        """Insert rows, or replace those of the same paths, in one commit; each part maps the columns to values."""
         import pyarrow as pa
 
         schema = table.schema
-        data = pa.table({field.name: pa.array(columns[field.name], field.type) for field in schema}, schema=schema)
+        tables = [
+            pa.table({field.name: _column(part[field.name], field.type) for field in schema}, schema=schema)
+            for part in parts
+        ]
+        data = pa.concat_tables(tables)
         merge = table.merge_insert("path").when_matched_update_all().when_not_matched_insert_all()
         with translated(self.path, "writing to it"):
             _retried(table, lambda: merge.execute(data))
@@ -214,6 +218,12 @@ def fixed_lists(rows: NDArray[Any]) -> Any:
     import pyarrow as pa
 
     return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(rows).ravel()), rows.shape[1])
+
+
+def _column(values: Any, kind: Any) -> Any:
+    import pyarrow as pa
+
+    return values.cast(kind) if isinstance(values, pa.ChunkedArray) else pa.array(values, kind)
 
 
 def _retried(table: Any, call: Any) -> None:
