@@ -64,6 +64,11 @@ class ReadFile:
     """Content of the other files that were needed, in the order in which they were asked for."""
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, in the plural where it is not one."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def plain_text(source: Source) -> bytes:
     """Return the content without a byte-order mark, in UTF-8 where it was UTF-16.
 
