@@ -30,6 +30,12 @@ def binary_stl_size(data: bytes) -> int | None:
     return _HEADER_BYTES + _FACET.itemsize * int.from_bytes(data[80:84], "little")
 
 
+def fits_binary_stl(data: bytes) -> bool:
+    """Whether a binary header asks for no more bytes than there are; letters in its place ask for billions."""
+    size = binary_stl_size(data)
+    return size is not None and size <= len(data)
+
+
 def parse_stl(source: Source) -> MeshArrays:
     """Return an STL file as a mesh. STL lists loose triangles, so equal corners become one vertex."""
     data = source.data

@@ -24,8 +24,9 @@ from fsh3d_o3d.adapters._parse_off import parse_off
 from fsh3d_o3d.adapters._parse_pcd import parse_pcd
 from fsh3d_o3d.adapters._parse_ply import parse_ply
 from fsh3d_o3d.adapters._parse_points import parse_pts, parse_xyz, parse_xyzn, parse_xyzrgb
-from fsh3d_o3d.adapters._parse_stl import binary_stl_size, parse_stl
-from fsh3d_o3d.adapters._source import ReadFile, Source, plain_text
+from fsh3d_o3d.adapters._parse_stl import binary_stl_size, fits_binary_stl, parse_stl
+from fsh3d_o3d.adapters._plain_text import check_not_a_pointer, plain_text
+from fsh3d_o3d.adapters._source import ReadFile, Source
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.errors import GeometryError, GeometryReadError
 
@@ -62,6 +63,14 @@ _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("OFF", re.compile(rb"\s*(ST)?C?N?4?n?OFF[\s\d]")),
     ("GLTF", re.compile(rb'\s*\{(?s:.){0,2000}"(asset|accessors|meshes)"')),
     ("STL", re.compile(rb"\s*solid\b(?s:.){0,400}\bfacet\b", re.IGNORECASE)),
+    (
+        "the answer of a web server",
+        re.compile(
+            rb"\s*(HTTP/\d|([45]\d\d:?\s+)?(not found|forbidden|(access )?denied|unauthori[sz]ed|gone)\b)", re.I
+        ),
+    ),
+    ("XML", re.compile(rb"\s*<(\?xml|[a-z!]\S*[ >])", re.IGNORECASE)),
+    ("JSON", re.compile(rb'\s*(\{\s*["}]|\[\s*[\[{"\d-])')),
     ("OBJ", re.compile(rb"(?s:.){0,3000}?(^|[\r\n])(v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]|mtllib )")),
 )
 
@@ -107,14 +116,16 @@ def parse_content(path: str, data: bytes) -> ReadFile:
     parser = parser_for(path)
     source = Source(data, functools.partial(_content_beside, path))
     try:
-        if parser is not parse_glb:
+        check_not_a_pointer(data)
+        # The header of a binary STL may begin with anything, also with the bytes of a byte-order mark.
+        if parser is not parse_glb and not (parser is parse_stl and fits_binary_stl(data)):
             source.data = plain_text(source)
         with np.errstate(all="ignore"):  # what is not finite is an error, not a warning
             geometry = parser(source)
     except MemoryError:
         raise read_error(path, _TOO_LITTLE_MEMORY) from None
     except GeometryError as error:
-        raise read_error(path, _with_sniffed(path, data, str(error))) from None
+        raise read_error(path, _with_sniffed(path, source.data, str(error))) from None
     except Exception as error:  # what no parser foresaw in a file is the file's fault for the caller all the same
         raise read_error(path, f"cannot be parsed ({type(error).__name__}: {error})") from error
     return ReadFile(geometry, tuple(source.notes), tuple(source.used.values()))
@@ -160,7 +171,7 @@ def _with_sniffed(path: str, data: bytes, reason: str) -> str:
     found = next((name for name, signature in _SIGNATURES if signature.match(data[:_SNIFFED])), None)
     if found is None and len(data) == binary_stl_size(data):
         found = "STL"
-    if found is None or found == own:
+    if found is None or found == own or (found, own) == ("JSON", "GLTF"):
         return reason
     return f"the content looks like {found}, not {own} ({reason})"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import os
 import re
 from collections.abc import Callable
@@ -11,8 +10,6 @@ from dataclasses import dataclass, field
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.errors import GeometryReadError
 
-_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
-_UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 # A plain name: no folder, no drive, no scheme, nothing hidden in percent signs.
 _PLAIN_NAME = re.compile(r"[^/\\:%\x00-\x1f\x7f]+")
 
@@ -67,25 +64,3 @@ class ReadFile:
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun, in the plural where it is not one."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
-def plain_text(source: Source) -> bytes:
-    """Return the content without a byte-order mark, in UTF-8 where it was UTF-16.
-
-    Raises:
-        GeometryReadError: It is a Git LFS pointer.
-    """
-    data = source.data
-    if data.startswith(_LFS_POINTER):
-        raise GeometryReadError("a Git LFS pointer, not the file itself: fetch it with 'git lfs pull'")
-    if data.startswith(codecs.BOM_UTF8):
-        return data[len(codecs.BOM_UTF8) :]
-    encoding = _UTF16.get(data[:2])
-    if encoding is None:
-        return data
-    try:
-        text = data[2:].decode(encoding).encode("utf-8")
-    except UnicodeError:  # those two bytes are something else
-        return data
-    source.note("the text is UTF-16")
-    return text
