@@ -9,8 +9,10 @@ from typing import Any
 
 from fsh3d_o3d.cli._console import print_json
 from fsh3d_o3d.cli._names import printable
+from fsh3d_o3d.cli._passed_over import in_brackets, passed_over
 from fsh3d_o3d.cli.describe import SHD_OPTIONS
-from fsh3d_o3d.retrieval.library_files import library_files
+from fsh3d_o3d.retrieval.extraction import FailedInput
+from fsh3d_o3d.retrieval.library_files import scan_library
 from fsh3d_o3d.retrieval.shape_index import ShapeIndex
 
 
@@ -40,12 +42,15 @@ def add_parser(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Index what is new: 0 if nothing failed, 1 if something did."""
     start = time.perf_counter()
-    files = list(library_files(options.library, leave_out=options.index))
+    scan = scan_library(options.library, leave_out=options.index)
+    for folder in scan.not_listed:
+        _print_failed(folder)
+    if not scan.files:
+        raise ValueError(f"{options.library}: no meshes or point clouds in this folder{in_brackets(scan)}")
     option = None if options.option is None else SHD_OPTIONS[options.option]()
     index = ShapeIndex.open(options.index, create=True, option=option)
-    removed = index.prune(options.library) if options.prune else 0
     update = index.add_files(
-        files,
+        scan.files,
         options.workers,
         timeout=options.timeout,
         retry_failed=options.retry_failed,
@@ -54,8 +59,13 @@ def run(options: argparse.Namespace) -> int:
         engine=options.engine,
         address=options.address,
     )
-    for failed in update.failed:
-        print(f"fsh3d: failed: {printable(failed.path)}: {failed.reason}", file=sys.stderr)
+    kept: list[FailedInput] = []
+    removed = index.prune(options.library, on_kept=kept.append) if options.prune else 0
+    known = {folder.path for folder in scan.not_listed}
+    failed = [*update.failed, *(folder for folder in kept if folder.path not in known)]
+    for one in failed:
+        _print_failed(one)
+    failed = [*scan.not_listed, *failed]
     seconds = time.perf_counter() - start
     figures = {
         "models": len(index),
@@ -65,12 +75,20 @@ def run(options: argparse.Namespace) -> int:
         "removed": removed,
     }
     if options.json:
-        failures = [{"path": failed.path, "reason": failed.reason} for failed in update.failed]
-        print_json({"index": options.index, **figures, "failed": failures, "seconds": seconds})
+        failures = [{"path": one.path, "reason": one.reason} for one in failed]
+        others = dict(scan.other_formats.most_common())
+        passed = {"other_formats": others, "links": scan.links}
+        print_json({"index": options.index, **figures, "failed": failures, **passed, "seconds": seconds})
     else:
         rest = ", ".join(f"{count} {name}" for name, count in list(figures.items())[1:])
-        print(f"{printable(options.index)}: {len(index)} models ({rest}, {len(update.failed)} failed), {seconds:.1f} s")
-    return 1 if update.failed else 0
+        print(f"{printable(options.index)}: {figures['models']} models ({rest}, {len(failed)} failed), {seconds:.1f} s")
+        for line in passed_over(scan):
+            print(line)
+    return 1 if failed else 0
+
+
+def _print_failed(one: FailedInput) -> None:
+    print(f"fsh3d: failed: {printable(one.path)}: {printable(one.reason)}", file=sys.stderr)
 
 
 def _thumbnail() -> Any:

@@ -13,7 +13,8 @@ from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.cli._console import error_line, print_json
 from fsh3d_o3d.cli._names import printable
-from fsh3d_o3d.retrieval.library_files import is_folder, library_files
+from fsh3d_o3d.cli._passed_over import in_brackets
+from fsh3d_o3d.retrieval.library_files import LibraryScan, is_folder, scan_library
 from fsh3d_o3d.retrieval.shape_index import Hit, ShapeIndex
 
 _Found = list[tuple[str, MeshArrays | PointArrays, tuple[Hit, ...]]]
@@ -56,10 +57,11 @@ def run(options: argparse.Namespace) -> int:
     index = ShapeIndex.open(options.index)
     if options.near_duplicates:
         return _near_duplicates(index, options)
-    files, single = _inputs(options)
+    single = not is_folder(options.input)
+    scan = LibraryScan([options.input]) if single else _scan(options)
     found: _Found = []
-    failed = 0
-    for path in files:
+    failed = len(scan.not_listed)
+    for path in scan.files:
         try:
             geometry = read_geometry_arrays(path)
             hits = index.query(geometry, top=options.top, rerank=options.rerank)
@@ -74,16 +76,16 @@ def run(options: argparse.Namespace) -> int:
             found.append((path, geometry, hits))
     if options.report and found:
         _write_report(options.report, found)
-    return 0 if not failed else 1 if failed < len(files) else 2
+    return 0 if not failed else 1 if failed < len(scan.files) + len(scan.not_listed) else 2
 
 
-def _inputs(options: argparse.Namespace) -> tuple[Sequence[str], bool]:
-    if not is_folder(options.input):
-        return [options.input], True
-    files = list(library_files(options.input, leave_out=options.index))
-    if not files:
-        raise ValueError(f"{options.input}: no meshes or point clouds in this folder")
-    return files, False
+def _scan(options: argparse.Namespace) -> LibraryScan:
+    scan = scan_library(options.input, leave_out=options.index)
+    for folder in scan.not_listed:
+        print(f"fsh3d: failed: {printable(folder.path)}: {folder.reason}", file=sys.stderr)
+    if not scan.files:
+        raise ValueError(f"{options.input}: no meshes or point clouds in this folder{in_brackets(scan)}")
+    return scan
 
 
 def _print(path: str, hits: Sequence[Hit], options: argparse.Namespace) -> None:

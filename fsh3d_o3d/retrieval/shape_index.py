@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Iterable
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -189,11 +191,18 @@ class ShapeIndex:
             self._search.index(moved=self._store.tidy())
         return update
 
-    def prune(self, folder: str | os.PathLike[str] | None = None) -> int:
+    def prune(
+        self, folder: str | os.PathLike[str] | None = None, *, on_kept: Callable[[FailedInput], None] | None = None
+    ) -> int:
         """Remove models, and failures, whose files are gone; returns how many models.
+
+        Gone is what the system says is not there. What it gives no answer about (a folder without permission, a disk
+        that fails) is kept.
 
         Args:
             folder: Only those below it. It must be there: a disk that is not mounted is no reason to forget a library.
+            on_kept: Called with each folder whose files were kept because it is not known whether they are there. None:
+                they are warned of.
 
         Raises:
             OSError: The folder, or its bucket, is not there, a storage does not answer, or the index cannot be written.
@@ -206,10 +215,13 @@ class ShapeIndex:
         removed = 0
         for table in (self._store.models, self._store.failures):
             paths = map(os.fsdecode, self._store.columns(table, ["path"])["path"].to_pylist())
-            gone = missing_files([path for path in paths if path.startswith(inside)])
+            gone, unknown = missing_files([path for path in paths if path.startswith(inside)])
             if gone:
-                self._store.remove(table, [os.fsencode(path) for path in gone])
-            removed += len(gone) if table is self._store.models else 0
+                self._store.remove(table, sorted(map(os.fsencode, gone)))
+            if table is self._store.models:
+                removed = len(gone)
+                for kept in _by_folder(unknown):
+                    (on_kept or _warn_of)(kept)
         return removed
 
     def failures(self) -> tuple[FailedInput, ...]:
@@ -296,3 +308,13 @@ class ShapeIndex:
                 )
             )
         return tuple(hits)
+
+
+def _by_folder(unknown: Mapping[str, str]) -> list[FailedInput]:
+    """One for each folder with files of which it is not known whether they are there, and reason for that."""
+    counts = Counter((os.path.dirname(path), reason) for path, reason in unknown.items())  # noqa: PTH120 - any bytes
+    return [FailedInput(folder, f"{reason}, so {n} models in it are kept") for (folder, reason), n in counts.items()]
+
+
+def _warn_of(kept: FailedInput) -> None:
+    warnings.warn(f"{kept.path}: {kept.reason}", stacklevel=3)

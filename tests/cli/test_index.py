@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -95,6 +96,79 @@ def test_prune(tmp_path, capsys):
     assert "2 models (0 added" in capsys.readouterr().out
     assert run(*common, "--prune") == 0
     assert "1 models (0 added, 0 moved, 1 unchanged, 1 removed, 0 failed)" in capsys.readouterr().out
+
+
+def test_a_folder_without_permission_is_no_reason_to_forget(tmp_path, capsys, monkeypatch):
+    paths = [*write_library(tmp_path / "library", [0]), *write_library(tmp_path / "library" / "closed", [1, 2])]
+    common = (
+        "index",
+        tmp_path / "library",
+        tmp_path / "index",
+        "--no-thumbnails",
+        "--workers",
+        "1",
+        "--quiet",
+        "--prune",
+    )
+    assert run(*common) == 0
+    closed = os.fspath(tmp_path / "library" / "closed")
+    for name in ("scandir", "lstat"):
+        monkeypatch.setattr(os, name, Denying(getattr(os, name), closed))
+    Path(paths[0]).rename(tmp_path / "library" / "renamed.off")
+    capsys.readouterr()
+    assert run(*common, "--json") == 1
+    out, err = capsys.readouterr()
+    figures = json.loads(out)
+    assert (figures["models"], figures["removed"]) == (3, 1)
+    reasons = {Path(failed["path"]).name: failed["reason"] for failed in figures["failed"]}
+    assert reasons == {"closed": "Permission denied, so its files are not found"}
+    assert err == f"fsh3d: failed: {closed}: Permission denied, so its files are not found\n"
+
+
+class Denying:
+    """A function of the system that denies access to what is in a folder."""
+
+    def __init__(self, function, closed):
+        self.function, self.closed = function, closed
+
+    def __call__(self, path=".", *arguments, **how):
+        listing = self.function.__name__ == "scandir" and os.fspath(path) == self.closed
+        if listing or os.path.dirname(os.fspath(path)) == self.closed:  # noqa: PTH120
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), path)
+        return self.function(path, *arguments, **how)
+
+
+def test_files_of_other_formats_are_named(tmp_path, capsys):
+    write_library(tmp_path / "library", [0])
+    for name in ("a.3mf", "b.STEP", "c.off.gz", "d.step", ".DS_Store"):
+        (tmp_path / "library" / name).touch()
+    common = ("index", tmp_path / "library", tmp_path / "index", "--no-thumbnails", "--workers", "1", "--quiet")
+    assert run(*common) == 0
+    assert capsys.readouterr().out.splitlines()[1:] == ["4 files of other formats: .step 2, .3mf 1, .gz 1"]
+    assert run(*common, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["other_formats"] == {".step": 2, ".3mf": 1, ".gz": 1}
+    for number in range(12):
+        (tmp_path / "library" / f"x.e{number}").touch()
+    assert run(*common) == 0
+    assert capsys.readouterr().out.splitlines()[1].endswith(", .e3 1, .e4 1, and 5 of 5 further extensions")
+
+
+@pytest.mark.parametrize("command", ["index", "query"])
+def test_a_folder_where_nothing_can_be_read_is_no_success(indexed, tmp_path, capsys, command):
+    (tmp_path / "library").mkdir()
+    (tmp_path / "library" / "a.3mf").touch()
+    (tmp_path / "library" / "link").symlink_to(indexed)
+    folders = (
+        [tmp_path / "library", tmp_path / "new"] if command == "index" else [indexed / "index", tmp_path / "library"]
+    )
+    assert run(command, *folders) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err == (
+        f"fsh3d: error: {tmp_path / 'library'}: no meshes or point clouds in this folder "
+        "(1 file of other formats: .3mf 1; 1 symbolic link, not followed)\n"
+    )
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize(

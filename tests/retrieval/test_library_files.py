@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
 import pytest
 
-from fsh3d_o3d.retrieval.library_files import library_files
+from fsh3d_o3d.retrieval.library_files import library_files, missing_files, scan_library
 
 HOSTILE = [b"a b.off", b"quote'\".ply", b"new\nline.obj", b"<script>.stl", b"\xff\xfe.glb", "größe.off".encode()]
 
@@ -54,3 +55,68 @@ def test_no_folder(tmp_path):
         list(library_files(tmp_path / "none"))
     with pytest.raises(NotADirectoryError):
         list(library_files(touched(tmp_path, b"file.off")))
+
+
+def test_what_is_not_read_is_counted(tmp_path):
+    folder = tmp_path / "deep"
+    for place in (folder, folder / ".git"):
+        place.mkdir()
+        for name in (
+            b"a.STEP",
+            b"b.step",
+            b"c.off.gz",
+            b"LICENSE",
+            b".hidden.txt",
+            b"x.a name with a full stop",
+            b"d.off",
+        ):
+            touched(place, name)
+    (folder / "link.ply").symlink_to("d.off")
+    (folder / "link.txt").symlink_to("LICENSE")
+    (folder / "folder").symlink_to(tmp_path)
+    scan = scan_library(tmp_path)
+    assert [Path(path).name for path in scan.files] == ["d.off", "d.off"]
+    assert scan.other_formats == {".step": 2, ".gz": 1, "": 2, ".txt": 1}
+    assert scan.links == 2
+    assert scan.not_listed == []
+
+
+def denied(monkeypatch, function, path, number):
+    """The system answers with an error when it is asked for a path; whoever the tests run as."""
+    original = getattr(os, function)
+
+    def asked(name=".", *arguments, **how):
+        if os.fspath(name) == os.fspath(path):
+            raise OSError(number, os.strerror(number), os.fspath(name))
+        return original(name, *arguments, **how)
+
+    monkeypatch.setattr(os, function, asked)
+
+
+def test_a_folder_that_cannot_be_listed_is_named(tmp_path, monkeypatch):
+    for name in ("closed", "open"):
+        (tmp_path / name).mkdir()
+        touched(tmp_path / name, b"a.off")
+    denied(monkeypatch, "scandir", tmp_path / "closed", errno.EACCES)
+    scan = scan_library(tmp_path)
+    assert scan.files == [os.fspath(tmp_path / "open" / "a.off")]
+    assert [(Path(one.path), one.reason) for one in scan.not_listed] == [
+        (tmp_path / "closed", "Permission denied, so its files are not found")
+    ]
+    with pytest.warns(UserWarning, match="closed: Permission denied"):
+        assert list(library_files(tmp_path)) == scan.files
+    denied(monkeypatch, "scandir", tmp_path, errno.EIO)
+    with pytest.raises(OSError, match="Input/output error"):
+        scan_library(tmp_path)
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EIO, errno.ESTALE, errno.ELOOP])
+def test_only_absence_is_absence(tmp_path, monkeypatch, number):
+    there = touched(tmp_path, b"there.off")
+    paths = [
+        there,
+        *(os.fspath(tmp_path / name) for name in ("none.off", "there.off/none.off", "unknown.off", "link.off")),
+    ]
+    (tmp_path / "link.off").symlink_to("nowhere")
+    denied(monkeypatch, "lstat", paths[3], number)
+    assert missing_files(paths) == ({paths[1], paths[2]}, {paths[3]: os.strerror(number)})

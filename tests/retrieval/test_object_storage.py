@@ -6,6 +6,8 @@ import json
 import logging
 import multiprocessing
 import os
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
@@ -260,6 +262,49 @@ def test_storage_that_does_not_answer(tmp_path, monkeypatch, capsys, server):
     monkeypatch.setenv("AWS_ENDPOINT_URL", "127.0.0.1:9")
     with pytest.raises(ValueError, match="http://"):
         list(library_files("s3://library"))
+
+
+class Refusing(BaseHTTPRequestHandler):
+    """A storage that denies access, whatever it is asked."""
+
+    def do_GET(self):
+        text = b"<Error><Code>AccessDenied</Code><Message>Access Denied</Message></Error>"
+        self.send_response(403)
+        self.send_header("Content-Type", "application/xml")
+        self.send_header("Content-Length", str(len(text)))
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(text)
+
+    do_HEAD = do_GET  # noqa: N815 - the name of the base class
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.mark.parametrize("count", [1, 5])  # asked for one by one, and by a list
+def test_denied_access_is_no_absence(upload, blobs, tmp_path, monkeypatch, count):
+    (tmp_path / "more").mkdir()
+    uris = [upload(path, f"parts/{Path(path).name}") for path in write_library(tmp_path / "more", range(count))]
+    index = ShapeIndex.open(tmp_path / "index", create=True, option=QUICK)
+    assert index.add_files(uris).added == count
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Refusing)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{server.server_port}")
+        for ask in (
+            index.prune,
+            lambda: index.prune("s3://library/parts"),
+            lambda: list(library_files("s3://library")),
+        ):
+            with pytest.raises(PermissionError, match="denies access"):
+                ask()
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+    assert len(index) == count
 
 
 @pytest.mark.parametrize(
