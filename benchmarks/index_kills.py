@@ -2,7 +2,7 @@
 
     python -m benchmarks.index_kills --models DIR [--kills 30] [--seed 0] [--writers 1] [--output DIR]
 
-Each writer is a process group of its own and is ended by SIGKILL, workers and all, at a moment drawn uniformly from the
+Each writer is ended by SIGKILL, and its workers with it, at a moment drawn uniformly from the
 time that an undisturbed run takes, start-up included. After every kill the index must open, hold all that it held
 before, no model twice, and answer a query; then it is filled on. Whenever it is complete it must hold each model once
 and list the failures of the undisturbed run, no others, and a new one is begun.
@@ -33,6 +33,7 @@ from fsh3d_o3d.retrieval.shape_index import ShapeIndex, ShapeIndexError
 Stage = Literal["start-up", "filling", "end"]
 
 _COMMAND = (sys.executable, "-c", "import sys; from fsh3d_o3d.cli import main; sys.exit(main())", "index")
+_WORKER = b"fsh3d_o3d.retrieval.worker_pool"  # in its command line
 _LOOK = 0.05  # seconds between two looks at the writers
 _SAME = 0.05  # distance of a model from its stored self: rounding makes a hundredth
 _PATIENCE = 20.0  # times an undisturbed run, before a writer counts as one that hangs
@@ -264,11 +265,12 @@ def _differences(found: Content, expected: Content) -> list[str]:
     return problems
 
 
-def _has_workers(group: int) -> bool:
-    """Whether a process group holds one that ``multiprocessing`` has spawned to work."""
+def _has_workers(writer: int) -> bool:
+    """Whether a process has started one that describes files."""
     for process in Path("/proc").glob("[0-9]*"):
         try:
-            if os.getpgid(int(process.name)) == group and b"spawn_main" in (process / "cmdline").read_bytes():
+            parent = int((process / "stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[1])
+            if parent == writer and _WORKER in (process / "cmdline").read_bytes():
                 return True
         except OSError:  # noqa: PERF203 - ended meanwhile
             continue

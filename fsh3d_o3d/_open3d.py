@@ -6,8 +6,9 @@ Importing Open3D takes seconds, so nothing does it before it is needed. ``open3d
 from __future__ import annotations
 
 import functools
-import importlib
 from types import ModuleType
+
+from fsh3d_o3d._imports import import_installed
 
 _HOW_TO_INSTALL = (
     "fsh3d_o3d needs Open3D, and exactly one of its two wheels, which install the same module: "
@@ -23,7 +24,7 @@ def open3d() -> ModuleType:
         ImportError: Open3D is not installed, or a system library it links to is missing; says what to do.
     """
     try:
-        return importlib.import_module("open3d")
+        return import_installed("open3d")
     except ModuleNotFoundError as error:
         if error.name == "open3d":
             raise ImportError(_HOW_TO_INSTALL) from error

@@ -87,8 +87,10 @@ def test_differences_of_a_complete_index():
 
 def test_workers_are_told_from_other_processes():
     sleep = "import time; print(flush=True); time.sleep(60)"
-    spawn = f"import multiprocessing as m; p = m.get_context('spawn').Process(target=exec, args=({sleep!r},))"
-    for program, expected in ((sleep, False), (f"{spawn}; p.start(); p.join()", True)):
+    start = (
+        f"import subprocess, sys; subprocess.run([sys.executable, '-c', {sleep!r}, {index_kills._WORKER.decode()!r}])"
+    )
+    for program, expected in ((sleep, False), (start, True)):
         writer = index_kills._Writer(
             subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, start_new_session=True), 0, 0
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.adapters._topology import EdgeTable, components
 from fsh3d_o3d.adapters.geometry import MeshArrays
@@ -25,7 +26,7 @@ def zero_surface(values: Float64Array) -> tuple[MeshArrays, Float64Array]:
     Raises:
         GeometryError: The field is nowhere negative, or not finite.
     """
-    from skimage.measure import marching_cubes  # here: half a second to import
+    marching_cubes = import_installed("skimage.measure").marching_cubes  # here: half a second to import
 
     if not np.isfinite(values).all():
         raise GeometryError("the field is not finite")

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
 
+from fsh3d_o3d._imports import import_installed
+
 _URI = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)
 SCHEMES = ("s3", "gs", "abfss")
 """That both PyArrow, for files, and Lance, for an index, know under this name."""
@@ -133,12 +135,12 @@ def require_bucket(uri: str) -> None:
     Raises:
         OSError: It is not, or the storage does not answer.
     """
-    import pyarrow.fs
+    fs = import_installed("pyarrow.fs")
 
     files, path = _located(uri)
     with _storage_errors(uri):
         bucket = files.get_file_info(path.partition("/")[0])
-    if bucket.type == pyarrow.fs.FileType.NotFound:
+    if bucket.type == fs.FileType.NotFound:
         raise FileNotFoundError(errno.ENOENT, "No such bucket", uri)
 
 
@@ -173,22 +175,22 @@ def _located(uri: str) -> tuple[Any, str]:
     scheme, _, path = uri.partition("://")
     if scheme == "s3":
         return _s3(_endpoint(), _region()), path
-    import pyarrow.fs
+    fs = import_installed("pyarrow.fs")
 
     with _storage_errors(uri):
-        return pyarrow.fs.FileSystem.from_uri(uri)  # type: ignore[no-any-return]
+        return fs.FileSystem.from_uri(uri)  # type: ignore[no-any-return]
 
 
 @functools.lru_cache(maxsize=4)
 def _s3(endpoint: str | None, region: str | None) -> Any:
-    import pyarrow.fs
+    fs = import_installed("pyarrow.fs")
 
     options: dict[str, Any] = {"connect_timeout": _CONNECT_SECONDS}
     if endpoint:
         parts = urlsplit(endpoint)
         options |= {"scheme": parts.scheme, "endpoint_override": parts.netloc + parts.path.rstrip("/")}
         region = region or "us-east-1"
-    return pyarrow.fs.S3FileSystem(region=region, **options)
+    return fs.S3FileSystem(region=region, **options)
 
 
 def _endpoint() -> str | None:
@@ -203,11 +205,11 @@ def _region() -> str | None:
 
 
 def _listing(uri: str, recursive: bool) -> list[Any]:
-    import pyarrow.fs
+    fs = import_installed("pyarrow.fs")
 
     files, path = _located(uri)
     with _storage_errors(uri):
-        found = files.get_file_info(pyarrow.fs.FileSelector(path, allow_not_found=True, recursive=recursive))
+        found = files.get_file_info(fs.FileSelector(path, allow_not_found=True, recursive=recursive))
     if not found:
         require_bucket(uri)
     return list(found)

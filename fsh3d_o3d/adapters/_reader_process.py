@@ -24,7 +24,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from fsh3d_o3d._imports import installed_path
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d.adapters._child_process import ChildProcess, end_after
 from fsh3d_o3d.adapters._parsers import read_error
 from fsh3d_o3d.adapters._source import ReadFile
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
@@ -32,6 +34,7 @@ from fsh3d_o3d.errors import GeometryError
 
 READ_FILE = "fsh3d_o3d.adapters._parsers:read_file"
 _START_SECONDS = 60.0
+_HEARTBEAT = 0.5  # seconds after which waiting looks up: a signal that another thread has got wakes nobody who waits
 _LARGEST_HEADER = 1 << 20
 _FIELDS = {MeshArrays: ("vertices", "triangles"), PointArrays: ("points", "normals", "colors")}
 _CLASSES = {kind.__name__: kind for kind in _FIELDS}
@@ -41,20 +44,13 @@ _ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_TH
 
 _STORAGE = ("AWS_", "GOOGLE_", "AZURE_")  # beginnings of the variables that tell how object storage is reached
 
-# The packages above this module are entered empty: their own __init__ would load SciPy and more, which takes longer
-# than everything else here, and which a process that reads untrusted files should not hold.
-_PROGRAM = """
-import importlib, sys, types
-sys.path[:] = {path!r}
-for name, folders in {packages!r}:
-    sys.modules[name] = types.ModuleType(name)
-    sys.modules[name].__path__ = folders
-importlib.import_module({module!r}).serve({function!r})
-"""
-
 
 def _packages() -> list[tuple[str, list[str]]]:
-    """Return the packages that hold this module, outermost first, and where each finds its modules."""
+    """Return the packages that hold this module, outermost first, and where each finds its modules.
+
+    The reader enters them empty: their own __init__ would load SciPy and more, which takes longer than everything else
+    here, and which a process that reads untrusted files should not hold.
+    """
     parts = __name__.split(".")[:-1]
     names = [".".join(parts[: depth + 1]) for depth in range(len(parts))]
     return [(name, list(sys.modules[name].__path__)) for name in names]
@@ -69,7 +65,7 @@ class ReaderProcess:
     def __init__(self, function: str = READ_FILE) -> None:
         self._function = function
         self._lock = threading.Lock()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: ChildProcess | None = None
         self._storage: dict[str, str] = {}
 
     def read(self, path: str, *, timeout: float, memory_limit: int) -> ReadFile:
@@ -106,28 +102,24 @@ class ReaderProcess:
         process, self._process = self._process, None
         self._lock = threading.Lock()  # another thread may have held it at the fork
         if process is not None:
-            process.returncode = 0  # not ours to wait for
-            _close_pipes(process)
+            process.abandon()
 
-    def _running(self) -> subprocess.Popen[bytes]:
+    def _running(self) -> ChildProcess:
         if self._process is not None and self._process.poll() is not None:
             self._stop()  # it was ended from outside while idle; this request need not suffer
         storage = {name: value for name, value in os.environ.items() if name.startswith(_STORAGE)}
         if self._process is not None and storage != self._storage:
             self._stop()  # it knows other credentials than this process does by now
         if self._process is None:
-            # Isolated mode and the caller's own search path: neither the working folder nor the environment can put
-            # another module in place of ours.
-            program = _PROGRAM.format(path=sys.path, packages=_packages(), module=__name__, function=self._function)
             self._storage = storage
-            self._process = subprocess.Popen(
-                [sys.executable, "-I", "-c", program],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                bufsize=0,
-                env={**os.environ, **_ENVIRONMENT},
-                start_new_session=True,  # an interrupt from the keyboard is for the caller
+            self._process = ChildProcess(
+                __name__,
+                "serve",
+                self._function,
+                path=installed_path(),
+                packages=_packages(),
+                environment=_ENVIRONMENT,
+                streams=subprocess.PIPE,
             )
             _receive(self._process, 1, time.monotonic() + _START_SECONDS)
         return self._process
@@ -137,31 +129,23 @@ class ReaderProcess:
         process, self._process = self._process, None
         if process is None:
             return "it did not start"
-        _close_pipes(process)
-        try:
+        process.close_pipes()
+        with contextlib.suppress(subprocess.TimeoutExpired):
             code = process.wait(timeout=0.2)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-            return "it broke the protocol"
-        return f"signal {-code}" if code < 0 else f"exit code {code}"
+            process.end()
+            return f"signal {-code}" if code < 0 else f"exit code {code}"
+        process.end()
+        return "it broke the protocol"
 
 
 class _OutOfTimeError(Exception):
     """The answer took too long."""
 
 
-def _close_pipes(process: subprocess.Popen[bytes]) -> None:
-    for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            with contextlib.suppress(OSError):
-                pipe.close()
-
-
-def _ask(process: subprocess.Popen[bytes], path: str, timeout: float, memory_limit: int) -> dict[str, Any]:
+def _ask(process: ChildProcess, path: str, timeout: float, memory_limit: int) -> dict[str, Any]:
     assert process.stdin is not None
     deadline = time.monotonic() + timeout
-    request = json.dumps({"path": path, "memory_limit": memory_limit}).encode("ascii") + b"\n"
+    request = json.dumps({"path": path, "memory_limit": memory_limit, "timeout": timeout}).encode("ascii") + b"\n"
     process.stdin.write(request)
     size = int.from_bytes(_receive(process, 8, deadline), "little")
     if size > _LARGEST_HEADER:
@@ -178,7 +162,7 @@ def _ask(process: subprocess.Popen[bytes], path: str, timeout: float, memory_lim
     return answer
 
 
-def _receive(process: subprocess.Popen[bytes], size: int, deadline: float) -> NDArray[np.uint8]:
+def _receive(process: ChildProcess, size: int, deadline: float) -> NDArray[np.uint8]:
     assert process.stdout is not None
     descriptor = process.stdout.fileno()
     poll = select.poll()
@@ -187,8 +171,10 @@ def _receive(process: subprocess.Popen[bytes], size: int, deadline: float) -> ND
     rest = memoryview(cast(Any, result))
     while rest:
         remaining = deadline - time.monotonic()
-        if remaining <= 0 or not poll.poll(remaining * 1000):
+        if remaining <= 0:
             raise _OutOfTimeError
+        if not poll.poll(1000 * min(remaining, _HEARTBEAT)):
+            continue
         got = os.readv(descriptor, [rest])
         if got == 0:
             raise EOFError
@@ -227,9 +213,11 @@ def serve(function: str) -> None:
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     for line in sys.stdin.buffer:
         request = json.loads(line)
+        end_after(request["timeout"])
         limit = _address_space() + request["memory_limit"]
         resource.setrlimit(resource.RLIMIT_AS, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
         header, arrays = _answer(read, request["path"])
+        end_after(0)
         encoded = json.dumps(header).encode("ascii")
         _send(output, len(encoded).to_bytes(8, "little") + encoded)
         for array in arrays:

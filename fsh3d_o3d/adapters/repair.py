@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsh3d_o3d import _validation as check
+from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d.adapters._rays import Frame
 from fsh3d_o3d.adapters.geometry import MeshArrays
 from fsh3d_o3d.adapters.mesh_measures import MeshMeasures, measure_mesh, oriented, weld
@@ -43,7 +44,7 @@ def repair_mesh(mesh: MeshArrays, *, largest_hole: int = 1000) -> Repair:
         ValueError: ``largest_hole`` is negative or not an integer.
     """
     # Imported here: half a second, for those who repair.
-    import pymeshlab
+    pymeshlab = import_installed("pymeshlab")
 
     edges = check.integer(largest_hole, "largest_hole", minimum=0, maximum=10**6)
     welded = weld(mesh)

@@ -1,25 +1,35 @@
 """The ``fsh3d`` command: one file a sub-command.
 
-Exit codes: 0 done, 1 finished with some inputs failed (they are listed), 2 bad input or usage, 130 interrupted.
+Exit codes: 0 done, 1 finished with some inputs failed (they are listed), 2 bad input or usage, 130 interrupted,
+143 and 129 ended by SIGTERM or SIGHUP.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
 import warnings
 from collections.abc import Sequence
 
+from fsh3d_o3d._imports import only_installed
 from fsh3d_o3d._version import __version__
 from fsh3d_o3d.cli import align, cache, describe, evaluate, index, info, query, reconstruct
 from fsh3d_o3d.cli._console import error_line
+from fsh3d_o3d.cli._process import TerminatedError, open_standard_streams, terminable
 
 __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command with the given arguments (those of the process if None) and return its exit code."""
+    open_standard_streams()
+    with only_installed():
+        return _run(arguments)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     parser = argparse.ArgumentParser(
         prog="fsh3d", description="Shapes as frequencies: meshes and point clouds as spherical harmonics."
     )
@@ -33,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse has printed the help (0) or its message (2)
         return stop.code if isinstance(stop.code, int) else 2
     try:
-        with warnings.catch_warnings():
+        with terminable(), warnings.catch_warnings():
             warnings.showwarning = lambda message, *_: print(f"fsh3d: warning: {error_line(message)}", file=sys.stderr)
             code: int = options.run(options)
         sys.stdout.flush()
@@ -41,6 +51,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("fsh3d: interrupted", file=sys.stderr)
         return 130
+    except TerminatedError as end:
+        with contextlib.suppress(OSError):  # the terminal may be gone
+            print(f"fsh3d: ended by {end}", file=sys.stderr)
+        return end.code
     except BrokenPipeError:
         # The reader of our output has gone; what Python would flush at exit goes nowhere instead.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from importlib import resources
 from typing import Any
 
+from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d.report._figures import Figure
 
 
@@ -69,7 +70,7 @@ def document(title: str, body: str, data: Any, *, script: str, styles: Sequence[
         styles: Assets, in order.
     """
     # Imported here: the pages are rare and plotly takes a moment.
-    from plotly.offline import get_plotlyjs
+    get_plotlyjs = import_installed("plotly.offline").get_plotlyjs
 
     library, library_source = code_block(get_plotlyjs())
     page, page_source = code_block(asset(script))

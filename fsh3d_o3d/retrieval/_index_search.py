@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
+from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.retrieval._index_codec import shortened, signed_roots
@@ -78,7 +79,7 @@ class IndexSearch:
 
         After rows were ``moved`` it is made anew: Lance carries it over to their new places, but then it is slower.
         """
-        from lancedb.index import IvfFlat
+        IvfFlat = import_installed("lancedb.index").IvfFlat
 
         table, count = self._store.models, self._store.count()
         if count < self._exact_below:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d.adapters._object_storage import folder_names, is_uri, lance_options, list_objects
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.retrieval._index_codec import SKETCH_LENGTH, signature_type
@@ -124,7 +125,7 @@ class IndexStore:
 
     def batches(self, names: Sequence[str]) -> Iterator[Any]:
         """Yield some columns of all models, and ``_rowid``, as Arrow tables of some thousand rows."""
-        import pyarrow as pa
+        pa = import_installed("pyarrow")
 
         with translated(self.path, "reading it"):
             search = self.models.search().select(list(names)).with_row_id(True).limit(self.models.count_rows() or 1)
@@ -152,7 +153,7 @@ class IndexStore:
 
     def put(self, table: Any, *parts: Mapping[str, Any]) -> None:
         """Insert rows, or replace those of the same paths, in one commit; each part maps the columns to values."""
-        import pyarrow as pa
+        pa = import_installed("pyarrow")
 
         schema = table.schema
         tables = [
@@ -201,7 +202,7 @@ class IndexStore:
 
 
 def _basis_table(basis: NDArray[np.float16]) -> Any:
-    import pyarrow as pa
+    pa = import_installed("pyarrow")
 
     return pa.table({"number": pa.array(range(basis.shape[1]), pa.int32()), "direction": fixed_lists(basis.T)})
 
@@ -215,13 +216,13 @@ def vectors(column: Any, dtype: Any) -> NDArray[Any]:
 
 def fixed_lists(rows: NDArray[Any]) -> Any:
     """Return an array (n, k) as a fixed-size list column."""
-    import pyarrow as pa
+    pa = import_installed("pyarrow")
 
     return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(rows).ravel()), rows.shape[1])
 
 
 def _column(values: Any, kind: Any) -> Any:
-    import pyarrow as pa
+    pa = import_installed("pyarrow")
 
     return values.cast(kind) if isinstance(values, pa.ChunkedArray) else pa.array(values, kind)
 
@@ -260,13 +261,11 @@ def _is_one_of(column: str, values: Sequence[bytes]) -> str:
 def _lancedb() -> Any:
     # Its notes on partitions that stay empty are of no use to who indexes a library.
     os.environ.setdefault("LANCEDB_LOG", "error")
-    import lancedb  # takes a second or more
-
-    return lancedb
+    return import_installed("lancedb")  # takes a second or more
 
 
 def _model_schema(option: SHDOption) -> Any:
-    import pyarrow as pa
+    pa = import_installed("pyarrow")
 
     fields = [
         pa.field("path", pa.binary(), nullable=False, metadata=_KEY),  # the file's, absolute, whatever its bytes
@@ -286,7 +285,7 @@ def _model_schema(option: SHDOption) -> Any:
 
 
 def _failure_schema() -> Any:
-    import pyarrow as pa
+    pa = import_installed("pyarrow")
 
     fields = [
         pa.field("path", pa.binary(), nullable=False, metadata=_KEY),

@@ -7,7 +7,6 @@ to the caller, who is the only one that writes.
 
 from __future__ import annotations
 
-import importlib
 import os
 import socket
 from collections.abc import Callable, Generator, Sequence
@@ -15,6 +14,7 @@ from contextlib import closing
 from typing import Any
 from urllib.parse import urlsplit
 
+from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d.retrieval.worker_pool import Outcome, Result, Task, run_tasks
 
 _SMALLEST_PART = 8  # tasks: starting a process takes as long as describing dozens of files
@@ -158,7 +158,7 @@ def _ray() -> Any:
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     try:
-        return importlib.import_module("ray")  # takes a second or more
+        return import_installed("ray")  # takes a second or more
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
             "engine 'ray' needs Ray: install the extra, as in pip install 'fsh3d-o3d[ray]'", name="ray"

@@ -81,8 +81,8 @@ def extract_descriptors(
     """Describe many files.
 
     Each worker process uses one thread; the result does not depend on their number. A file that cannot be read or
-    described, that kills its process or takes too long is listed and does not stop the others. As always with
-    processes, a script that calls this does so below ``if __name__ == "__main__":``.
+    described, that kills its process or takes too long is listed and does not stop the others. A script that defines
+    its own descriptor is imported again by the processes, so it calls this below ``if __name__ == "__main__":``.
 
     Args:
         paths: Meshes and point clouds in any format that is read.

@@ -7,19 +7,22 @@ process has its own pipe and one task in hand: a crash, an out-of-memory kill or
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
-import os
+import pickle
 import resource
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
-from multiprocessing import resource_tracker
+from functools import partial
+from multiprocessing import Pipe, spawn
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, Generic, TypeVar
+
+from fsh3d_o3d._imports import path_for_processes
+from fsh3d_o3d.adapters._child_process import ChildProcess, end_after
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -29,9 +32,7 @@ _SINGLE_THREADED = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "DUCC0_NUM_THREADS"), "1"
 )
 _START_PATIENCE = 120.0  # seconds; starting takes one
-# Seconds after which waiting looks up: a signal that the system has given to another thread, because this one was deaf
-# to it while a process started, wakes nobody who waits.
-_HEARTBEAT = 0.5
+_HEARTBEAT = 0.5  # seconds after which waiting looks up: a signal that another thread has got wakes nobody who waits
 
 
 @dataclass(frozen=True)
@@ -62,9 +63,10 @@ def run_tasks(
     """
     pending = deque(enumerate(tasks))
     pool: list[_Worker] = []
+    start = partial(_Worker, bytes(ForkingPickler.dumps(function)), path_for_processes())
     try:
         while len(pool) < min(workers, len(tasks)):
-            pool.append(_Worker(function))
+            pool.append(start())
         while pool:
             patience = min(_HEARTBEAT, max(0.0, min(worker.deadline for worker in pool) - time.monotonic()))
             ready = wait([worker.pipe for worker in pool], timeout=patience)
@@ -77,7 +79,7 @@ def run_tasks(
                     pool.remove(worker)
                     worker.stop()
                     if pending:
-                        pool.append(_Worker(function))
+                        pool.append(start())
                 if outcome is not None:
                     yield outcome
     finally:
@@ -89,38 +91,44 @@ def run_tasks(
 class _Worker:
     """A process and the task it has in hand."""
 
-    function: Callable[[Any], Any]
+    function: bytes
+    path: list[str]
     deadline: float = field(init=False)
 
     def __post_init__(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.pipe, theirs = context.Pipe()
+        self.pipe, theirs = Pipe()
         self.deadline = time.monotonic() + _START_PATIENCE
         self._index: int | None = None
-        self._process: SpawnProcess = context.Process(target=_serve, args=(theirs, self.function), daemon=True)
         try:
-            with _worker_environment():
-                self._process.start()
+            self._process = ChildProcess(
+                __name__,
+                "serve",
+                theirs.fileno(),
+                path=self.path,
+                environment=_SINGLE_THREADED,
+                descriptor=theirs.fileno(),
+            )
         except BaseException:
             self.pipe.close()
             raise
         finally:
             theirs.close()  # only the process holds it now: its death ends the pipe
+        with contextlib.suppress(OSError):  # as below
+            self.pipe.send((_main_module(self.function), self.function))
 
     def give(self, index: int, task: object, timeout: float) -> None:
         """Hand over a task."""
         self._index = index
         self.deadline = time.monotonic() + timeout
         with contextlib.suppress(OSError):  # a process that has died since is noticed when its answer is awaited
-            self.pipe.send(task)
+            self.pipe.send((task, timeout))
 
     def answer(self) -> tuple[bool, Outcome[Any] | None]:
         """Whether the process lives, and what became of its task (None when it has only come up)."""
         try:
             answer = self.pipe.recv()
         except (EOFError, OSError):
-            self._process.join()
-            cause = _cause(self._process.exitcode)
+            cause = _cause(self._process.wait())
             return False, Outcome(self._in_hand(cause), None, f"the process describing it {cause}")
         return True, None if answer is None else Outcome(self._in_hand(""), *answer)
 
@@ -136,49 +144,40 @@ class _Worker:
     def stop(self) -> None:
         """End the process, whatever it does."""
         self.pipe.close()
-        self._process.kill()
-        self._process.join()
-        self._process.close()
+        self._process.end()
 
 
-def _cause(code: int | None) -> str:
-    if code is None or code >= 0:
+def _cause(code: int) -> str:
+    if code >= 0:
         return f"ended with exit code {code}"
     name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
     return f"was killed by {name}" + (", perhaps for want of memory" if -code == signal.SIGKILL else "")
 
 
-@contextlib.contextmanager
-def _worker_environment() -> Iterator[None]:
-    """What a process started in this block inherits: one thread for libraries, and deafness to Ctrl-C.
-
-    A terminal sends Ctrl-C to all its processes; this one answers it by ending the others.
-    """
-    before = {name: os.environ.get(name) for name in _SINGLE_THREADED}
-    resource_tracker.ensure_running()  # starting it unblocks SIGINT (bpo-33613), so not after the next line
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    os.environ.update(_SINGLE_THREADED)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+def _main_module(function: bytes) -> dict[str, Any]:
+    """Return what a process needs to make the caller's main module again: nothing, unless the function is of it."""
+    if b"__main__" not in function:
+        return {}
+    return {name: value for name, value in spawn.get_preparation_data("").items() if name.startswith("init_main")}
 
 
-def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
+def serve(descriptor: int) -> None:
     """The process's side: say that it is up, then answer tasks until the pipe ends."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with contextlib.suppress(OSError):  # where memory runs out, one task ends rather than the whole job
         Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # standard output belongs to the caller
+    pipe = Connection(descriptor)
+    main_module, pickled = pipe.recv()
+    spawn.prepare(main_module)
+    function = pickle.loads(pickled)
     with contextlib.suppress(EOFError, OSError):
         pipe.send(None)
         while True:
-            pipe.send(_answer(function, pipe.recv()))
+            task, timeout = pipe.recv()
+            end_after(timeout)
+            answer = _answer(function, task)
+            end_after(0)
+            pipe.send(answer)
 
 
 def _answer(function: Callable[[Any], Any], task: Any) -> tuple[Any, str | None]:
