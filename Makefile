@@ -1,8 +1,9 @@
 # make help lists the targets. Set-up is part of each: nothing has to be installed by hand on Debian or Ubuntu.
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench paper docs samples clean
+.PHONY: help demo test fuzz lint bench paper docs samples clean
 BIN := .venv/bin
 PYTEST_WORKERS ?= 2
+FUZZ_SECONDS ?= 600
 
 help:  ## List the targets
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -14,6 +15,12 @@ demo:  ## Install what is needed and reconstruct a sample shape
 test:  ## Run the tests
 	@bash tools/bootstrap.sh cpu,dev,docs
 	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile -q
+
+fuzz:  ## Explore the property tests with fresh seeds, for FUZZ_SECONDS and the end of the round
+	@bash tools/bootstrap.sh cpu,dev,docs
+	@end=$$(($$(date +%s) + $(FUZZ_SECONDS))); while [ $$(date +%s) -lt $$end ]; do \
+	    OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile -q -m hypothesis \
+	        --hypothesis-profile fuzz --seed $$(date +%s) || exit; done
 
 lint:  ## Check style and types
 	@bash tools/bootstrap.sh cpu,dev

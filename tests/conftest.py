@@ -15,8 +15,13 @@ import pytest
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# A shared machine may pause for longer than Hypothesis' deadline of 200 ms; no test is about time.
-hypothesis.settings.register_profile("fsh3d", deadline=None, max_examples=25)
+# The same examples on every machine and every run: a change fails for what it changes, not for what was drawn. No
+# deadline (a shared machine may pause for longer than 200 ms; no test is about time), no examples kept between runs.
+hypothesis.settings.register_profile("fsh3d", derandomize=True, database=None, deadline=None, max_examples=25)
+# `make fuzz`: other examples each time, and what repeats the one that fails.
+hypothesis.settings.register_profile(
+    "fuzz", derandomize=False, database=None, deadline=None, max_examples=200, print_blob=True
+)
 hypothesis.settings.load_profile("fsh3d")
 
 

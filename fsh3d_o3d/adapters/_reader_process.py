@@ -35,6 +35,7 @@ from fsh3d_o3d.errors import GeometryError
 READ_FILE = "fsh3d_o3d.adapters._parsers:read_file"
 _START_SECONDS = 60.0
 _HEARTBEAT = 0.5  # seconds after which waiting looks up: a signal that another thread has got wakes nobody who waits
+_DYING_SECONDS = 10.0  # for a process that has closed its pipes; it takes milliseconds
 _LARGEST_HEADER = 1 << 20
 _FIELDS = {MeshArrays: ("vertices", "triangles"), PointArrays: ("points", "normals", "colors")}
 _CLASSES = {kind.__name__: kind for kind in _FIELDS}
@@ -82,7 +83,9 @@ class ReaderProcess:
             except _OutOfTimeError:
                 self._stop()
                 raise read_error(path, f"the reader was stopped after {timeout:g} s") from None
-            except (EOFError, OSError, LookupError, TypeError, ValueError, AttributeError):
+            except (EOFError, OSError):  # its end of the pipe is closed: it is dying, which takes a busy system a while
+                raise read_error(path, f"the reader died ({self._stop(_DYING_SECONDS)})") from None
+            except (LookupError, TypeError, ValueError, AttributeError):
                 raise read_error(path, f"the reader died ({self._stop()})") from None
             except BaseException:  # an interrupt leaves half an answer in the pipe
                 self._stop()
@@ -124,14 +127,14 @@ class ReaderProcess:
             _receive(self._process, 1, time.monotonic() + _START_SECONDS)
         return self._process
 
-    def _stop(self) -> str:
-        """End the process and say how it had ended."""
+    def _stop(self, patience: float = 0) -> str:
+        """End the process, unless it does so itself in some seconds, and say how it had ended."""
         process, self._process = self._process, None
         if process is None:
             return "it did not start"
         process.close_pipes()
         with contextlib.suppress(subprocess.TimeoutExpired):
-            code = process.wait(timeout=0.2)
+            code = process.wait(timeout=patience)
             process.end()
             return f"signal {-code}" if code < 0 else f"exit code {code}"
         process.end()

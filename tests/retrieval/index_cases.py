@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -47,14 +48,25 @@ def fill(index: str, paths: list[str]) -> None:
     ShapeIndex.open(index, create=True, option=QUICK).add_files(paths, workers=1)
 
 
-def fill_slowly(index: str, paths: list[str]) -> None:
-    """The same, with a commit after every file and time to be killed in."""
+def fill_slowly(index: str, paths: list[str], pictures: int | None = None) -> None:
+    """The same, with a commit after every file and time to be killed in; it stays there after some pictures."""
     from fsh3d_o3d.retrieval import _index_filling as filling
 
     filling._ROWS_A_COMMIT = 1
-    ShapeIndex.open(index, create=True, option=QUICK).add_files(paths, workers=1, thumbnail=slow_thumbnail)
+    thumbnail = SlowThumbnail(pictures)
+    ShapeIndex.open(index, create=True, option=QUICK).add_files(paths, workers=1, thumbnail=thumbnail)
 
 
-def slow_thumbnail(_) -> bytes:
-    time.sleep(0.05)
-    return b"picture"
+@dataclass
+class SlowThumbnail:
+    """Takes its time, and stays at work after some pictures."""
+
+    pictures: int | None
+
+    def __call__(self, _) -> bytes:
+        writer = os.getppid()
+        while self.pictures == 0 and os.getppid() == writer:  # not longer than the writer lives
+            time.sleep(0.05)
+        self.pictures = None if self.pictures is None else self.pictures - 1
+        time.sleep(0.05)
+        return b"picture"

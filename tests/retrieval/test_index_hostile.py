@@ -17,6 +17,7 @@ from fsh3d_o3d.retrieval.shape_index import ShapeIndex
 from fsh3d_o3d.sphere.icosphere import icosphere
 from tests.adapters.mutations import gltf_tree, pack_glb
 from tests.retrieval.index_cases import QUICK, write_library
+from tests.retrieval.toys import let_an_hour_pass
 
 HUGE = 10**10
 ROOM = 2**28  # bytes that a file may take: far less than any of these files announces or unfolds to
@@ -73,7 +74,7 @@ def test_files_that_lie_about_their_size(tmp_path):
     expected = lying_files(tmp_path)
     index = ShapeIndex.open(tmp_path / "index", create=True, option=QUICK)
     # Refused for what they say, not because room or time ran out.
-    update = index.add_files([*(tmp_path / name for name in expected), good], workers=1, memory_limit=ROOM, timeout=60)
+    update = index.add_files([*(tmp_path / name for name in expected), good], workers=1, memory_limit=ROOM)
     assert (update.added, len(index)) == (1, 1)
     reasons = {Path(failed.path).name: failed.reason for failed in update.failed}
     assert reasons.keys() == expected.keys()
@@ -114,6 +115,7 @@ class Misbehaving:
             calls.write(f"{number}\n")
         if not (self.log / "healed").exists():
             if number == SIZES["sleeps"]:
+                (self.log / "asleep").touch()
                 time.sleep(3600)
             elif number == SIZES["devours"]:
                 bytearray(2 * ROOM)
@@ -132,7 +134,7 @@ class Misbehaving:
 FREQUENCY = {"sleeps": 3, "devours": 4, "killed": 5, "crashes": 6, "leaves": 7, "well": 8}
 SIZES = {name: 10 * frequency**2 + 2 for name, frequency in FREQUENCY.items()}
 REASONS = {
-    "sleeps": "took longer than 5 s",
+    "sleeps": "took longer than 3600 s",
     "devours": "out of memory",
     "killed": "the process describing it was killed by SIGKILL, perhaps for want of memory",
     "crashes": "the process describing it was killed by SIGSEGV",
@@ -140,7 +142,8 @@ REASONS = {
 }
 
 
-def test_descriptions_that_hang_devour_or_die_are_listed_and_not_tried_again(tmp_path):
+def test_descriptions_that_hang_devour_or_die_are_listed_and_not_tried_again(tmp_path, monkeypatch):
+    let_an_hour_pass(monkeypatch, tmp_path / "asleep")
     paths = []
     for name, frequency in FREQUENCY.items():
         directions, triangles = icosphere(frequency)
@@ -150,8 +153,7 @@ def test_descriptions_that_hang_devour_or_die_are_listed_and_not_tried_again(tmp
     index = ShapeIndex.open(tmp_path / "index", create=True, option=QUICK)
 
     def add(**options):
-        # Five seconds: what takes milliseconds must not be taken for the one that sleeps.
-        return index.add_files(paths, workers=1, thumbnail=thumbnail, memory_limit=ROOM, timeout=5, **options)
+        return index.add_files(paths, workers=1, thumbnail=thumbnail, memory_limit=ROOM, timeout=3600, **options)
 
     first = add()
     assert {Path(failed.path).stem: failed.reason for failed in first.failed} == REASONS

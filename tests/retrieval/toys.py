@@ -7,9 +7,13 @@ import signal
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.spatial.distance import cdist
+
+from fsh3d_o3d.retrieval import worker_pool
 
 RAISE, NAN, CRASH, EXIT, HANG, THREADS, OPEN3D = 101, 102, 103, 104, 105, 106, 107
 """Numbers of vertices that make ``ToyDescriptor`` misbehave, or tell about its process."""
@@ -20,6 +24,8 @@ class ToyDescriptor:
     """The extents of the bounding box, sorted."""
 
     fingerprint: str = "toy"
+    hanging: Path | None = None
+    """Made once it hangs."""
 
     def describe(self, geometry):
         count = len(geometry.vertices)
@@ -32,6 +38,8 @@ class ToyDescriptor:
         if count == EXIT:
             os._exit(7)
         if count == HANG:
+            if self.hanging is not None:
+                self.hanging.touch()
             time.sleep(1000)
         if count == THREADS:
             return np.full(3, float(os.environ["OMP_NUM_THREADS"]))
@@ -54,3 +62,13 @@ class DoesNotArrive(ToyDescriptor):
 
     def __reduce__(self):
         return int, ("not a number",)
+
+
+def let_an_hour_pass(monkeypatch, mark: Path) -> None:
+    """Let the clock of those who wait for processes leap as soon as a file is there.
+
+    Then a process that hangs is found out whatever the limit, which may be longer than a busy machine needs for others.
+    """
+    real = time.monotonic
+    clock = SimpleNamespace(monotonic=lambda: real() + 3601 * mark.exists())
+    monkeypatch.setattr(worker_pool, "time", clock)
