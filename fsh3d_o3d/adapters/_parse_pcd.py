@@ -85,7 +85,7 @@ def _cloud(source: Source, header: bytes) -> _Cloud:
         if words:
             entries[words[0].upper()] = words[1:]
     try:
-        fields = tuple(entries["FIELDS"] if "FIELDS" in entries else entries["COLUMNS"])  # the older name
+        fields = tuple(entries["COLUMNS"] if "COLUMNS" in entries else entries["FIELDS"])  # the older name first
         kinds = _kinds(source, entries, len(fields))
         counts = tuple(int(c) for c in entries.get("COUNT", ["1"] * len(fields)))
         points = _points(source, entries)

@@ -66,7 +66,9 @@ def test_first_versions_have_float32_fields_without_saying_so():
 def test_colours_in_fields_of_their_own(kind, scale):
     size = {"U": 1, "F": 4}[kind]
     code = {"U": "B", "F": "f"}[kind]
-    head = f"FIELDS x y z r g b\nSIZE 4 4 4{f' {size}' * 3}\nTYPE F F F{f' {kind}' * 3}\nDATA binary\n"
+    head = (
+        f"WIDTH 6\nHEIGHT 1\nFIELDS x y z r g b\nSIZE 4 4 4{f' {size}' * 3}\nTYPE F F F{f' {kind}' * 3}\nDATA binary\n"
+    )
     colors = mutations.COLORS * scale // 255 if scale == 255 else mutations.COLORS / 255
     rows = zip(mutations.VERTICES.tolist(), colors.tolist(), strict=True)
     cloud, _ = read(head.encode() + b"".join(struct.pack(f"<3f3{code}", *point, *color) for point, color in rows))
@@ -76,7 +78,7 @@ def test_colours_in_fields_of_their_own(kind, scale):
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
-        (without(b"FIELDS"), "the header is damaged (COLUMNS is missing)"),
+        (without(b"FIELDS"), "the header is damaged (FIELDS is missing)"),
         (without(b"TYPE"), "the header is damaged (TYPE is missing)"),
         (without(b"WIDTH", b"POINTS"), "neither WIDTH and HEIGHT nor POINTS is there"),
         (without(b"DATA"), "the header has no DATA line"),
