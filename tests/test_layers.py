@@ -21,7 +21,15 @@ PARTS = {
     "registration.py": {"_registration_fit", "_registration_search", "_registration_surface"},
 }
 MODULES = [layer.removesuffix(".py") for layer in LAYERS]
-BESIDE = {"_validation", "_atomic", "_imports", "errors", "_version"}  # beside the layers, for all of them
+BESIDE = {
+    "_validation",
+    "_atomic",
+    "_imports",
+    "_npz",
+    "_regular_file",
+    "errors",
+    "_version",
+}  # beside the layers, for all of them
 FILES = sorted(PACKAGE.rglob("*.py"))
 NAMES = [path.relative_to(PACKAGE).as_posix() for path in FILES]
 

@@ -10,13 +10,13 @@ import errno
 import functools
 import os
 import re
-import stat
 import unicodedata
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from fsh3d_o3d._regular_file import open_regular
 from fsh3d_o3d.adapters._object_storage import is_uri, object_content
 from fsh3d_o3d.adapters._parse_gltf import parse_glb, parse_gltf
 from fsh3d_o3d.adapters._parse_obj import parse_obj
@@ -155,15 +155,8 @@ def _content_beside(path: str, name: str) -> bytes:
 
 
 def _regular_content(path: str) -> bytes:
-    # O_NONBLOCK: opening a pipe that no one writes to would wait for ever. It changes nothing for regular files.
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    try:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise GeometryReadError("is not a regular file")
-        with open(descriptor, "rb", closefd=False) as file:
-            return file.read()
-    finally:
-        os.close(descriptor)
+    with open_regular(path) as file:
+        return file.read()
 
 
 def _with_sniffed(path: str, data: bytes, reason: str) -> str:

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from fsh3d_o3d._regular_file import open_regular
+
 __all__ = ["Classification", "ShapeClass", "read_classification"]
 
 _ROOT = "0"
@@ -66,7 +68,7 @@ def read_classification(path: str | os.PathLike[str]) -> Classification:
             line's number and the reason.
     """
     file = Path(path)
-    with file.open("rb") as stream:
+    with open_regular(file) as stream:
         data = stream.read(_LARGEST_FILE + 1)
     if len(data) > _LARGEST_FILE:
         raise ValueError(f"{file}: is larger than {_LARGEST_FILE >> 20} MiB, so it is no classification file")

@@ -23,6 +23,7 @@ import numpy as np
 import platformdirs
 from numpy.typing import NDArray
 
+from fsh3d_o3d._regular_file import open_regular
 from fsh3d_o3d._version import __version__
 
 __all__ = ["clear_descriptor_cache", "descriptor_cache_path"]
@@ -70,9 +71,7 @@ def descriptor_key(path: str | os.PathLike[str], fingerprint: str) -> bytes | No
     """
     digest = hashlib.sha256()
     try:
-        if not Path(path).is_file():
-            return None
-        with Path(path).open("rb") as file:
+        with open_regular(path) as file:
             while chunk := file.read(_CHUNK):
                 digest.update(chunk)
     except OSError:

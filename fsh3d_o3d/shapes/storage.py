@@ -6,7 +6,6 @@ import io
 import math
 import os
 import zipfile
-import zlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._atomic import atomic_write_bytes
+from fsh3d_o3d._npz import ENTRY, packing, read_npz
 from fsh3d_o3d.errors import GeometryReadError
 
 FORMAT_VERSION = 1
 """Raised when files written now could not be read by older versions."""
 _MAXIMUM_BYTES = 4 * 2**30
-_ENTRY = ".npy"
 
 
 def write_arrays(path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -38,8 +37,9 @@ def write_arrays(path: str | os.PathLike[str], kind: str, arrays: Mapping[str, N
         for key, value in {**header, **arrays}.items():
             entry = io.BytesIO()
             np.lib.format.write_array(entry, np.array(value, order="C"), allow_pickle=False)
+            data = entry.getvalue()
             # ZipInfo's own date, 1980, instead of today's.
-            archive.writestr(zipfile.ZipInfo(key + _ENTRY), entry.getvalue(), zipfile.ZIP_DEFLATED)
+            archive.writestr(zipfile.ZipInfo(key + ENTRY), data, packing(data))
     atomic_write_bytes(path, buffer.getvalue())
 
 
@@ -52,19 +52,12 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[str, dict[str, NDArray[An
     """
     name = os.fspath(path)
     try:
-        with zipfile.ZipFile(path) as archive:
-            if sum(entry.file_size for entry in archive.infolist()) > _MAXIMUM_BYTES:
-                raise GeometryReadError(f"{name}: the arrays would take more than {_MAXIMUM_BYTES >> 30} GiB")
-            arrays = {
-                entry.filename.removesuffix(_ENTRY): _read_entry(archive.read(entry)) for entry in archive.infolist()
-            }
+        arrays = dict(read_npz(path, _MAXIMUM_BYTES))
     except FileNotFoundError:
         raise
     except OSError as error:
         raise GeometryReadError(f"{name}: {error.strerror or error}") from None
-    except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, NotImplementedError, RuntimeError) as error:
-        if isinstance(error, GeometryReadError):
-            raise
+    except ValueError as error:
         raise GeometryReadError(f"{name}: not a shape file, or damaged ({error})") from None
     if "format" not in arrays or str(arrays.pop("format")) != "fsh3d_o3d" or not {"version", "kind"} <= arrays.keys():
         raise GeometryReadError(f"{name}: an .npz, but not one of fsh3d_o3d")
@@ -87,7 +80,7 @@ def field(
     array = arrays[name]
     if array.ndim != dimensions or array.dtype.kind not in "fiu" or not np.isfinite(array).all() or array.size == 0:
         raise GeometryReadError(f"{os.fspath(path)}: {name} is malformed ({array.dtype}, shape {array.shape})")
-    return array.astype(np.float64)
+    return array.astype(np.float64, copy=False)
 
 
 def square_root(path: str | os.PathLike[str], count: int) -> int:
@@ -96,11 +89,3 @@ def square_root(path: str | os.PathLike[str], count: int) -> int:
     if b * b != count:
         raise GeometryReadError(f"{os.fspath(path)}: {count} coefficients are no square number")
     return b
-
-
-def _read_entry(data: bytes) -> NDArray[Any]:
-    entry = io.BytesIO(data)
-    array = np.lib.format.read_array(entry, allow_pickle=False, max_header_size=1000)
-    if array.dtype.kind not in "fiuU":
-        raise ValueError(f"unexpected dtype {array.dtype}")
-    return np.asarray(array)

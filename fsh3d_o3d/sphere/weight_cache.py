@@ -22,6 +22,7 @@ import numpy as np
 import platformdirs
 
 from fsh3d_o3d._atomic import atomic_write_bytes
+from fsh3d_o3d._npz import read_npz
 from fsh3d_o3d.sphere.grids import SphericalGrid
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ __all__ = ["clear_weight_cache", "weight_cache_directory"]
 
 _FORMAT = 2  # raised when the solver changes what it returns
 _MEMORY_BYTES = 256 * 2**20
+_ABOUT_BYTES = 2**16  # at most, for what a file says beside the weights
 _log = logging.getLogger("fsh3d_o3d")
 _lock = threading.Lock()
 _memory: OrderedDict[str, WeightSolution] = OrderedDict()
@@ -91,8 +93,8 @@ def _read(path: Path, n: int) -> WeightSolution | None:
     from fsh3d_o3d.sphere.analytic_weights import WeightSolution
 
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            weights, about = file["weights"], json.loads(str(file["about"]))
+        file = read_npz(path, n * np.dtype(np.float64).itemsize + _ABOUT_BYTES)
+        weights, about = file["weights"], json.loads(str(file["about"]))
         digest = about.pop("sha256")
         if weights.shape != (n,) or weights.dtype != np.float64 or _digest(path.stem, weights, about) != digest:
             raise ValueError("checksum differs")

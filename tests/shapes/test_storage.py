@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import zipfile
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d.errors import GeometryReadError
+from fsh3d_o3d.retrieval.descriptor_cache import descriptor_key
 
 
 @pytest.fixture
@@ -130,9 +132,71 @@ def test_pickles_are_refused(shape, tmp_path):
         fsh.load_shape(tmp_path / "x.npz")
 
 
+def archive_of(path, entries, method=zipfile.ZIP_DEFLATED):
+    with zipfile.ZipFile(path, "w", method) as archive:
+        for name, data in entries:
+            archive.writestr(name, data)
+    return path
+
+
+def npy(array, shape=None):
+    """An array as ``.npy``, which may announce another shape."""
+    stream = io.BytesIO()
+    header = np.lib.format.header_data_from_array_1_0(array)
+    np.lib.format.write_array_header_1_0(stream, {**header, "shape": shape or array.shape})
+    return stream.getvalue() + array.tobytes()
+
+
 def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
     monkeypatch.setattr("fsh3d_o3d.shapes.storage._MAXIMUM_BYTES", 10**6)
-    with zipfile.ZipFile(tmp_path / "x.npz", "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("coefficients.npy", bytes(10**7))
+    path = archive_of(tmp_path / "x.npz", [("coefficients.npy", bytes(10**7))])
     with pytest.raises(GeometryReadError, match="would take more than"):
+        fsh.load_shape(path)
+    monkeypatch.setattr("fsh3d_o3d.shapes.storage._MAXIMUM_BYTES", 10**9)
+    monkeypatch.setattr("fsh3d_o3d._npz._FREE_BYTES", 10**6)
+    with pytest.raises(GeometryReadError, match=r"x\.npz: .*\(\d+ bytes unpack to 10000000\)"):
+        fsh.load_shape(path)
+
+
+def test_what_packs_well_is_saved_so_that_it_is_read(tmp_path, monkeypatch):
+    """Coefficients that a filter has made zero."""
+    monkeypatch.setattr("fsh3d_o3d._npz._FREE_BYTES", 10**4)
+    coefficients = np.zeros(64**2)
+    coefficients[0] = 1
+    fsh.RadialShape(coefficients, np.zeros(3)).save(tmp_path / "x.npz")
+    assert fsh.load_shape(tmp_path / "x.npz").coefficients.tobytes() == coefficients.tobytes()
+
+
+@pytest.mark.parametrize("shape", [(10**10,), (-1,), (2**62, 4), (7,), (10**400,)])
+def test_headers_that_lie_ask_for_no_memory(shape, tmp_path):
+    path = archive_of(tmp_path / "x.npz", [("coefficients.npy", npy(np.arange(9.0), shape))])
+    with pytest.raises(GeometryReadError, match="not a shape file"):
+        fsh.load_shape(path)
+
+
+def test_directories_that_lie_are_refused(tmp_path):
+    data = npy(np.arange(9.0))
+    many = archive_of(tmp_path / "x.npz", [(f"{number}.npy", data) for number in range(65)])
+    with pytest.raises(GeometryReadError, match="65 entries"):
+        fsh.load_shape(many)
+    with pytest.warns(UserWarning, match="Duplicate name"):
+        twice = archive_of(tmp_path / "x.npz", [("a.npy", data), ("a.npy", data)])
+    with pytest.raises(GeometryReadError, match="overlap"):
+        fsh.load_shape(twice)
+    whole = bytearray(archive_of(tmp_path / "x.npz", [("a.npy", data)]).read_bytes())
+    whole[-10:-6] = (2**31).to_bytes(4, "little")  # length of the directory
+    (tmp_path / "x.npz").write_bytes(whole)
+    with pytest.raises(GeometryReadError, match="entries"):
         fsh.load_shape(tmp_path / "x.npz")
+
+
+def test_what_is_no_regular_file_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.npz")
+    (tmp_path / "zero.npz").symlink_to("/dev/zero")
+    (tmp_path / "folder.npz").mkdir()
+    for name in ("pipe", "zero", "folder"):
+        with pytest.raises(GeometryReadError, match=rf"{name}\.npz: is not a regular file"):
+            fsh.load_shape(tmp_path / f"{name}.npz")
+        with pytest.raises(OSError, match="is not a regular file"):
+            fsh.read_classification(tmp_path / f"{name}.npz")
+        assert descriptor_key(tmp_path / f"{name}.npz", "") is None

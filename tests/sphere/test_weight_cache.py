@@ -215,3 +215,17 @@ def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     for n in (24, 25, 26):
         fsh.analytic_weights(fsh.fibonacci_grid(n), 2)
     assert [len(kept.weights) for kept in weight_cache._memory.values()] == [26]  # the latest
+
+
+def test_what_is_no_regular_file_or_too_large_is_not_read(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    solution = fsh.analytic_weights(GRID, 2)
+    (name,) = files(folder)
+    (folder / name).unlink()
+    os.mkfifo(folder / name)
+    weight_cache._memory.clear()
+    assert fsh.analytic_weights(GRID, 2).weights.tobytes() == solution.weights.tobytes()
+    (folder / name).unlink()
+    np.savez(folder / name, weights=np.zeros(10**6))
+    weight_cache._memory.clear()
+    assert fsh.analytic_weights(GRID, 2).weights.tobytes() == solution.weights.tobytes()
+    assert "would take more than" in caplog.text
