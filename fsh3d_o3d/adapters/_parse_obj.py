@@ -21,7 +21,7 @@ _KNOWN = np.array(_KEYWORDS.encode().split(), dtype="S12")
 
 
 def parse_obj(source: Source) -> MeshArrays:
-    """Return an OBJ file as a mesh; polygons are cut into fans, negative indices count back from their line."""
+    """Return an OBJ file as a mesh; polygons are cut into triangles, negative indices count back from their line."""
     text = without_comments(source.data)
     if b"\\" in text:
         text = re.sub(rb"\\[ \t]*\r?\n", b" ", text)

@@ -42,7 +42,7 @@ def polygon_mesh_of(
     Raises:
         GeometryError: As for ``mesh_of``.
     """
-    return mesh_of(source, vertices, cut_polygons(vertices, polygons, starts, counts))
+    return mesh_of(source, vertices, cut_polygons(source, vertices, polygons, starts, counts))
 
 
 def cloud_of(

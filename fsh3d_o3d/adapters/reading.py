@@ -37,9 +37,9 @@ def read_geometry_arrays(
 ) -> MeshArrays | PointArrays:
     """Read a mesh or a point cloud from a file.
 
-    Meshes: ``.off .obj .ply .stl .glb .gltf`` (polygons are cut into fans, glTF nodes are placed, STL corners are
-    welded where they are equal to the last bit; other duplicate vertices stay). Points: ``.xyz .xyzn .xyzrgb .pts
-    .pcd`` and ``.ply`` without faces, with normals and colours where the file has them.
+    Meshes: ``.off .obj .ply .stl .glb .gltf`` (polygons, concave ones too, are cut into triangles, glTF nodes are
+    placed, STL corners are welded where they are equal to the last bit; other duplicate vertices stay). Points:
+    ``.xyz .xyzn .xyzrgb .pts .pcd`` and ``.ply`` without faces, with normals and colours where the file has them.
 
     Args:
         path: The file; its extension names the format. Also ``s3://bucket/name`` and the like, with the credentials
