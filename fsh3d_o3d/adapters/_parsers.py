@@ -1,7 +1,8 @@
-"""From a file to arrays, in Python and NumPy alone (private): the table of formats, and the door to it.
+"""From a file to arrays, in Python and NumPy (private): the table of formats, and the door to it.
 
-No native reader sees the file. The parsers are this package's own because the readers at hand are too lenient for
-untrusted files (a truncated file becomes part of a mesh) or slow to start; trimesh is the second opinion in the tests.
+No native reader sees the file, but for Draco streams in glTF. The parsers are this package's own because the readers
+at hand are too lenient for untrusted files (a truncated file becomes part of a mesh) or slow to start; trimesh is the
+second opinion in the tests.
 """
 
 from __future__ import annotations
@@ -148,10 +149,12 @@ def read_error(path: str, reason: str) -> GeometryReadError:
 def _content_beside(path: str, name: str) -> bytes:
     folder = path.rpartition("/")[0] if is_uri(path) else os.path.dirname(path)  # noqa: PTH120 - any bytes
     try:
-        return file_content(f"{folder}/{name}" if is_uri(path) else os.path.join(folder, name))  # noqa: PTH118 - same
+        data = file_content(f"{folder}/{name}" if is_uri(path) else os.path.join(folder, name))  # noqa: PTH118 - same
+        check_not_a_pointer(data)
     except (OSError, GeometryError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise GeometryReadError(f"it needs the file '{name}' beside it: {reason}") from None
+    return data
 
 
 def _regular_content(path: str) -> bytes:

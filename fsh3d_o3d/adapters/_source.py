@@ -58,7 +58,8 @@ class ReadFile:
     notes: tuple[str, ...] = ()
     """What was read in spite of something, one sentence each."""
     used: tuple[bytes, ...] = ()
-    """Content of the other files that were needed, in the order in which they were asked for."""
+    """Content of the other files that were needed, in the order in which they were asked for; a reader process keeps
+    them to itself."""
 
 
 def counted(number: int, noun: str) -> str:

@@ -68,7 +68,7 @@ def mutated_files(count: int, *, seed: int = 0) -> Iterator[SampleFile]:
     files = list(valid_files().values())
     for number in range(count):
         file = files[number % len(files)]
-        damage = _DAMAGES[(number // len(files)) % len(_DAMAGES)]
+        damage = DAMAGES[(number // len(files)) % len(DAMAGES)]
         changed = damage(file, rng, files)
         yield SampleFile(f"{number:05d}_{damage.__name__.strip('_')}_{changed.name}", changed.data)
 
@@ -151,7 +151,7 @@ def _insert_bytes(file: SampleFile, rng: random.Random, files: list[SampleFile])
     return SampleFile(file.name, file.data[:at] + junk + file.data[at:])
 
 
-_DAMAGES: list[Callable[[SampleFile, random.Random, list[SampleFile]], SampleFile]] = [
+DAMAGES: list[Callable[[SampleFile, random.Random, list[SampleFile]], SampleFile]] = [
     _truncate,
     _flip_bytes,
     _change_number,

@@ -22,6 +22,7 @@ from fsh3d_o3d.cli import main
 from fsh3d_o3d.retrieval._index_extraction import FileState
 from fsh3d_o3d.retrieval.library_files import library_files
 from fsh3d_o3d.retrieval.shape_index import ShapeIndex, ShapeIndexError
+from tests.adapters.mutations import gltf_tree
 from tests.retrieval.index_cases import QUICK, fill_slowly, write_library
 
 NASTY = "parts/deep er/<b>'quo\"té'</b>.off"
@@ -102,6 +103,20 @@ def test_library_and_index_on_storage(upload, blobs, tmp_path, capsys):
     capsys.readouterr()
     assert main(["query", target, blobs[0], "--json"]) == 2  # the quick option has no name
     assert "same option" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("isolated", [True, False])
+def test_buffer_beside_a_gltf_file(isolated, server, bucket, tmp_path):
+    tree, binary = gltf_tree()
+    model = tmp_path / "model.gltf"
+    model.write_text(json.dumps({**tree, "buffers": [{"byteLength": len(binary), "uri": "my%20part.bin"}]}))
+    for key, content in (("parts/model.gltf", model.read_bytes()), ("parts/my part.bin", binary)):
+        with server.open_output_stream(f"{bucket}/{key}") as stream:
+            stream.write(content)
+    assert len(read_geometry_arrays("s3://library/parts/model.gltf", isolated=isolated).triangles) == 8
+    server.delete_file("library/parts/my part.bin")
+    with pytest.raises(fsh.GeometryReadError, match=r"needs the file 'my part.bin' beside it: No such file"):
+        read_geometry_arrays("s3://library/parts/model.gltf", isolated=isolated)
 
 
 def test_only_what_is_new_is_read(upload, server, blobs, monkeypatch):
