@@ -92,13 +92,13 @@ def _case(bases: list[ShapeSignature], count: int, queries: int) -> Row:
         indexed = time.perf_counter() - begin
         # For an hour after rows were put together it is up to twice that: see docs/library.md.
         size = (store.models.stats()["total_bytes"] + store.basis.nbytes) / count
-        answers = np.stack([search.nearest(probe, _TOP).distances for probe in probes])
+        answers = np.stack([search.nearest(store.latest(), probe, _TOP).distances for probe in probes])
         recall = np.mean(answers <= nearest[:, -1:] * (1 + 1e-6))
         turn = iter(range(10**9))
-        candidates = search.nearest(probes[0], 200)
+        candidates = search.nearest(store.latest(), probes[0], 200)
         timing = interleave(
             {
-                "query": lambda: search.nearest(probes[next(turn) % queries], _TOP),
+                "query": lambda: search.nearest(store.latest(), probes[next(turn) % queries], _TOP),
                 "rerank": lambda: aligned_distances(probes[0].coefficients, candidates.stored.coefficients),
             },
             rounds=21,

@@ -9,6 +9,10 @@ from collections.abc import Iterator
 
 from fsh3d_o3d.adapters._object_storage import is_uri, storage_error
 
+# What Lance and Arrow raise for data they cannot make sense of; Arrow's own errors are of these, too.
+_OF_LANCE = (ValueError, RuntimeError, OSError, LookupError, ArithmeticError, TypeError, AssertionError)
+# Panics of native code. They belong to modules that cannot be imported, and one of them is no Exception.
+_PANICS = {"PanicException", "RustPanic"}
 _OS_ERROR = re.compile(r"os error (\d+)")
 
 
@@ -31,8 +35,7 @@ def translated(path: str, doing: str) -> Iterator[None]:
     except BaseException as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise
-        # A panic of the native library is no Exception.
-        if not isinstance(error, (ValueError, RuntimeError, OSError)) and type(error).__name__ != "PanicException":
+        if not (isinstance(error, _OF_LANCE) or type(error).__name__ in _PANICS):
             raise
         text = " ".join(str(error).split())
         code = _OS_ERROR.search(text)

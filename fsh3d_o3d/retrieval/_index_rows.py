@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.descriptors import ShapeSignature, SHDOption
 from fsh3d_o3d.retrieval._index_codec import decoded, encoded, functions_of, signature_type, sketches
+from fsh3d_o3d.retrieval._index_columns import fixed_lists
 from fsh3d_o3d.retrieval._index_errors import ShapeIndexError
 from fsh3d_o3d.retrieval._index_extraction import Described, frame_numbers, identity
-from fsh3d_o3d.retrieval._index_store import fixed_lists
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -15,9 +16,11 @@ from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.retrieval._index_codec import shortened, signed_roots
+from fsh3d_o3d.retrieval._index_columns import identifiers
 from fsh3d_o3d.retrieval._index_errors import translated
 from fsh3d_o3d.retrieval._index_rows import Query, StoredRows, stored_rows
 from fsh3d_o3d.retrieval._index_store import IndexStore
+from fsh3d_o3d.retrieval._index_version import TableVersion
 
 EXACT_BELOW = 5_000
 """Rows below which a query is compared with all of them; see ``docs/library.md``."""
@@ -46,28 +49,35 @@ class Candidates:
     """(n)."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Everything:
+    """All rows of one version, where they are few enough to compare all."""
+
+    version: TableVersion
+    rows: IntArray
+    stored: StoredRows
+    features: NDArray[np.float32]
+
+
 class IndexSearch:
-    """Search in one store. Keeps what it has read until the store has another version."""
+    """Search in one store, in the version that each call is given. Any number of threads may share it."""
 
     def __init__(self, store: IndexStore, option: SHDOption, *, exact_below: int = EXACT_BELOW) -> None:
         self._store = store
         self._l1 = option.metric == "l1"
         self._option = option
         self._exact_below = exact_below
-        self._all: tuple[int, IntArray, StoredRows, NDArray[np.float32]] | None = None
-        self._seen = -1
-        self._count = 0
+        self._lock = threading.Lock()  # so that threads that ask at once do not all read everything
+        self._kept: _Everything | None = None
 
-    def nearest(self, query: Query, count: int) -> Candidates:
+    def nearest(self, models: TableVersion, query: Query, count: int) -> Candidates:
         """Return the ``count`` rows nearest to a query, or all if there are fewer."""
-        version = self._store.newest()
-        if version != self._seen:
-            self._seen, self._count = version, self._store.count()
-        if self._count < self._exact_below:
-            rows, found, features = self._everything(version)
-            distances = self._distances(query.feature, features)
+        if models.count < self._exact_below:
+            everything = self._everything(models)
+            rows, found = everything.rows, everything.stored
+            distances = self._distances(query.feature, everything.features)
         else:
-            rows, found = self._near(query, self._candidates(count))
+            rows, found = self._near(models, query, count)
             # Block by block: decoded all at once they would not fit the cache.
             parts = (found[start : start + _DECODED] for start in range(0, len(found), _DECODED))
             distances = np.concatenate([np.empty(0), *(self._distances(query.feature, p.features) for p in parts)])
@@ -81,7 +91,7 @@ class IndexSearch:
         """
         IvfFlat = import_installed("lancedb.index").IvfFlat
 
-        table, count = self._store.models, self._store.count()
+        table, count = self._store.models, self._store.latest().count
         if count < self._exact_below:
             return
         with translated(self._store.path, "indexing it"):
@@ -89,20 +99,20 @@ class IndexSearch:
                 statistics = table.index_stats("sketch_idx")
                 if statistics is not None and statistics.num_unindexed_rows <= _REINDEX * count:
                     return
-            partitions = max(1, count // _ROWS_A_PARTITION)
-            config = IvfFlat(distance_type="l2", num_partitions=partitions, max_iterations=20, sample_rate=64)
-            table.create_index("sketch", config=config, replace=True)
+        partitions = max(1, count // _ROWS_A_PARTITION)
+        config = IvfFlat(distance_type="l2", num_partitions=partitions, max_iterations=20, sample_rate=64)
+        self._store.commit(table, lambda: table.create_index("sketch", config=config, replace=True), "indexing it")
 
-    def close_pairs(self, limit: float) -> Iterator[tuple[int, int, float]]:
+    def close_pairs(self, models: TableVersion, limit: float) -> Iterator[tuple[int, int, float]]:
         """Yield pairs of ``_rowid`` whose features are at most ``limit`` apart, and how far they are."""
-        version = self._store.newest()
         features = None
-        if self._store.count() < self._exact_below:
-            rows, stored, features = self._everything(version)
-            found = [(rows, *self._excluding(stored))]
+        if models.count < self._exact_below:
+            everything = self._everything(models)
+            features = everything.features
+            found = [(everything.rows, *self._excluding(everything.stored))]
         else:
-            tables = self._store.batches(["signature"])
-            found = [(_identifiers(table), *self._excluding(self._read(table))) for table in tables]
+            tables = models.batches(["signature"])
+            found = [(identifiers(table), *self._excluding(self._read(table))) for table in tables]
         rows, sketch, sums = (np.concatenate(parts) for parts in zip(*found, strict=True))
         norm = np.square(sketch).sum(axis=1)
         # No two rows this close are further apart in their sketches.
@@ -115,7 +125,7 @@ class IndexSearch:
             left, right = _still_close(left + start, right + start, sums, limit * _ROUNDING)
             for begin in range(0, len(left), _BLOCK):
                 one, two = left[begin : begin + _BLOCK], right[begin : begin + _BLOCK]
-                distance = self._apart(one, two, rows, features)
+                distance = self._apart(models, one, two, rows, features)
                 for index in np.flatnonzero(distance <= limit):
                     yield int(rows[one[index]]), int(rows[two[index]]), float(distance[index])
 
@@ -129,33 +139,35 @@ class IndexSearch:
         return shortened(roots, self._store.basis), sums
 
     def _apart(
-        self, one: IntArray, two: IntArray, rows: IntArray, features: NDArray[np.float32] | None
+        self, models: TableVersion, one: IntArray, two: IntArray, rows: IntArray, features: NDArray[np.float32] | None
     ) -> NDArray[np.float32]:
         """Distances of pairs of places among ``rows``; ``features`` are read where they are None."""
         if features is None:
             needed, place = np.unique(np.concatenate((one, two)), return_inverse=True)
-            features = self._read(self._store.rows(rows[needed], ["signature"])).features
+            features = self._read(models.rows(rows[needed], ["signature"])).features
             one, two = place[: len(one)], place[len(one) :]
         difference = np.abs(features[one] - features[two])
         return np.asarray(difference.sum(axis=1) if self._l1 else np.linalg.norm(difference, axis=1))
 
-    def _everything(self, version: int) -> tuple[IntArray, StoredRows, NDArray[np.float32]]:
-        if self._all is None or self._all[0] != version:
-            table = self._store.columns(self._store.models, ["signature"])
-            found = self._read(table)
-            self._all = version, _identifiers(table), found, found.features
-        return self._all[1:]
+    def _everything(self, models: TableVersion) -> _Everything:
+        with self._lock:
+            kept = self._kept
+            if kept is None or kept.version is not models:
+                table = models.columns(["signature"])
+                stored = self._read(table)
+                kept = _Everything(models, identifiers(table), stored, stored.features)
+                if self._kept is None or self._kept.version.number < models.number:
+                    self._kept = kept
+            return kept
 
-    def _near(self, query: Query, count: int) -> tuple[IntArray, StoredRows]:
-        probes = max(_PROBES, math.isqrt(self._count // _ROWS_A_PARTITION))
+    def _near(self, models: TableVersion, query: Query, count: int) -> tuple[IntArray, StoredRows]:
+        probes = max(_PROBES, math.isqrt(models.count // _ROWS_A_PARTITION))
+        wanted = max(_LEAST_CANDIDATES, _SPARE * count, int(_CANDIDATES_A_ROOT * math.sqrt(models.count)))
         with translated(self._store.path, "searching it"):
-            search = self._store.models.search(query.sketch, vector_column_name="sketch").distance_type("l2")
+            search = models.table.search(query.sketch, vector_column_name="sketch").distance_type("l2")
             columns = ["signature", "_distance"]
-            table: Any = search.nprobes(probes).limit(count).select(columns).with_row_id(True).to_arrow()
-        return _identifiers(table), self._read(table)
-
-    def _candidates(self, count: int) -> int:
-        return max(_LEAST_CANDIDATES, _SPARE * count, int(_CANDIDATES_A_ROOT * math.sqrt(self._count)))
+            table: Any = search.nprobes(probes).limit(wanted).select(columns).with_row_id(True).to_arrow()
+        return identifiers(table), self._read(table)
 
     def _read(self, table: Any) -> StoredRows:
         return stored_rows(table["signature"], self._option, self._store.path)
@@ -177,7 +189,3 @@ def _still_close(left: IntArray, right: IntArray, sums: NDArray[np.float32], lim
         part = slice(start, start + _BLOCK)
         kept[part] = np.abs(sums[left[part]] - sums[right[part]]).sum(axis=1) <= limit
     return left[kept], right[kept]
-
-
-def _identifiers(table: Any) -> IntArray:
-    return np.asarray(table["_rowid"].to_numpy(), dtype=np.int64)

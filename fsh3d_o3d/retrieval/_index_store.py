@@ -1,8 +1,7 @@
 """The tables of an index, of Lance: ``models`` and ``failures``, one row a file, and ``basis`` (private).
 
 Lance writes each change as new files and a manifest that is put in place last, so that an index is at every moment in
-the state before or after a change. ``path`` is its unenforced primary key: with it, and only with it, two writers that
-insert the same path at the same moment notice, and one of them tries again.
+the state before or after a change.
 """
 
 from __future__ import annotations
@@ -10,9 +9,10 @@ from __future__ import annotations
 import errno
 import functools
 import os
+import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +20,22 @@ from numpy.typing import NDArray
 from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d.adapters._object_storage import folder_names, is_uri, lance_options, list_objects
 from fsh3d_o3d.descriptors import SHDOption
-from fsh3d_o3d.retrieval._index_codec import SKETCH_LENGTH, signature_type
+from fsh3d_o3d.retrieval._index_checksums import CHECKSUM, FOLDER, FileChecksums, row_checksums
+from fsh3d_o3d.retrieval._index_columns import is_one_of
+from fsh3d_o3d.retrieval._index_durability import DiskSync
 from fsh3d_o3d.retrieval._index_errors import ShapeIndexError, translated
+from fsh3d_o3d.retrieval._index_schema import basis_table, failure_schema, model_schema, read_basis
+from fsh3d_o3d.retrieval._index_version import TableVersion
 from fsh3d_o3d.retrieval._sketch_basis import sketch_basis
 
-FORMAT = 2
+Result = TypeVar("Result")
+
+FORMAT = 3
 """Version of the tables; raised whenever older code would misread them."""
-_KEY = {"lance-schema:unenforced-primary-key": "true"}
 _ATTEMPTS = 20  # to write while others do
 _PATHS_A_QUERY = 500
-_ROWS_A_BATCH = 4096
-_TABLES = {"failures.lance", "basis.lance", "models.lance"}
+_READINGS = 4  # of versions that others remove while they are read; one that was replaced just now is seldom removed
+_TABLES = {"failures.lance", "basis.lance", "models.lance", FOLDER}
 _KEPT_SECONDS = 3600  # for which a version stays readable
 _WASTE = 1.5  # times the rows there are: then versions before are removed
 _LITTLE = 2**20  # bytes that nobody minds
@@ -40,17 +45,24 @@ _SMALL_FRAGMENTS = 48  # that are put together; fewer do no harm
 class IndexStore:
     """The tables of one index, opened. What it returns are Arrow tables and NumPy arrays."""
 
-    def __init__(self, path: str, models: Any, failures: Any, basis: NDArray[np.float16]) -> None:
+    def __init__(self, path: str, database: Any, models: Any, failures: Any, basis: NDArray[np.float16]) -> None:
         self.path = path
         """Where it is."""
         self.models = models
-        """Lance's table of what was described."""
+        """Lance's table of what was described, to write to; it is read by ``latest``."""
         self.failures = failures
-        """Lance's table of what was not."""
+        """Lance's table of what was not, to write to."""
         self.basis = basis
         """(d, SKETCH_LENGTH): what sketches are made with."""
         self.metadata = {key.decode(): value.decode() for key, value in (models.schema.metadata or {}).items()}
         """What the tables were made with: ``format``, ``option``, each after ``fsh3d.``."""
+        self._database = database
+        self._files = FileChecksums(path)
+        self._disk = DiskSync(path)
+        self._reading = threading.Lock()  # of what follows
+        self._held: dict[str, TableVersion] = {}
+        self._watched: dict[str, Any] = {}
+        self._writing = threading.RLock()  # handles are moved on by writing
 
     @classmethod
     def open(cls, path: str, option: SHDOption | None) -> IndexStore:
@@ -73,9 +85,17 @@ class IndexStore:
             database = _lancedb().connect(path, storage_options=lance_options(path))
             if not there and option is not None:
                 # Models last: where they are, there is all.
-                database.create_table("basis", _basis_table(sketch_basis(option)), exist_ok=True)
-                database.create_table("failures", schema=_failure_schema(), exist_ok=True)
-                database.create_table("models", schema=_model_schema(option), exist_ok=True)
+                database.create_table("basis", basis_table(sketch_basis(option)), exist_ok=True)
+                database.create_table("failures", schema=failure_schema(), exist_ok=True)
+                database.create_table("models", schema=model_schema(option, FORMAT), exist_ok=True)
+            files = FileChecksums(path)
+            for name in () if is_uri(path) else ("basis", "failures", "models"):
+                newest = files.newest(name)
+                if newest is not None and there:
+                    files.require(name, newest)
+                elif newest is not None:
+                    DiskSync(path).table(name)
+                    files.write(name, newest)
             models = database.open_table("models")
             store_format = (models.schema.metadata or {}).get(b"fsh3d.format", b"").decode()
             if store_format.isdigit() and int(store_format) > FORMAT:
@@ -90,20 +110,50 @@ class IndexStore:
                 )
             if store_format != str(FORMAT):
                 raise ShapeIndexError(f"{path}: this folder is no index of fsh3d_o3d")
-            basis = database.open_table("basis").search().limit(SKETCH_LENGTH).to_arrow().sort_by("number")
-            return cls(path, models, database.open_table("failures"), vectors(basis["direction"], np.float16).T)
+            return cls(
+                path, database, models, database.open_table("failures"), read_basis(path, database.open_table("basis"))
+            )
 
     def refresh(self) -> int:
         """See what others have written meanwhile; returns the version of the models."""
-        with translated(self.path, "reading it"):
+        with self._writing, translated(self.path, "reading it"):
             self.failures.checkout_latest()
-        return self.newest()
-
-    def newest(self) -> int:
-        """See which models others have written meanwhile, but not their failures; returns the version."""
-        with translated(self.path, "reading it"):
             self.models.checkout_latest()
             return int(self.models.version)
+
+    def latest(self, table: str = "models") -> TableVersion:
+        """Return the newest version of ``"models"`` or ``"failures"``; the same object as long as it is.
+
+        Raises:
+            ShapeIndexError: It is damaged.
+        """
+        with self._reading:
+            number = self._newest(table)
+            held = self._held.get(table)
+            if held is None or held.number != number:
+                self._files.require(table, number)
+                with translated(self.path, "reading it"):
+                    # A handle of its own: a shared one would be moved on under the threads that read it.
+                    handle = self._database.open_table(table)
+                    handle.checkout(number)
+                    held = TableVersion(self.path, number, handle, int(handle.count_rows()))
+                self._held[table] = held
+            return held
+
+    def reading(self, work: Callable[[TableVersion], Result], table: str = "models") -> Result:
+        """Return what ``work`` makes of the newest version of a table; again if others remove it meanwhile.
+
+        Raises:
+            ShapeIndexError: The index is damaged, or was rewritten again and again while it was read.
+        """
+        for attempt in range(_READINGS):
+            version = self.latest(table)
+            try:
+                return work(version)
+            except ShapeIndexError:
+                if attempt == _READINGS - 1 or self.latest(table) is version:
+                    raise
+        raise AssertionError  # not reached
 
     def require_writable(self) -> None:
         """Find out before the work whether rows can be written after it.
@@ -118,59 +168,52 @@ class IndexStore:
             if not os.access(folder, os.W_OK, effective_ids=True):
                 raise PermissionError(errno.EACCES, "the index is read-only", self.path)
 
-    def count(self) -> int:
-        """Return the number of models."""
-        with translated(self.path, "reading it"):
-            return int(self.models.count_rows())
-
-    def batches(self, names: Sequence[str]) -> Iterator[Any]:
-        """Yield some columns of all models, and ``_rowid``, as Arrow tables of some thousand rows."""
-        pa = import_installed("pyarrow")
-
-        with translated(self.path, "reading it"):
-            search = self.models.search().select(list(names)).with_row_id(True).limit(self.models.count_rows() or 1)
-            for batch in search.to_batches(batch_size=_ROWS_A_BATCH):
-                yield pa.Table.from_batches([batch])
-
     def columns(self, table: Any, names: Sequence[str]) -> Any:
-        """Return some columns of all rows, and ``_rowid``, as an Arrow table."""
-        with translated(self.path, "reading it"):
-            return table.search().select(list(names)).with_row_id(True).limit(table.count_rows() or 1).to_arrow()
-
-    def rows(self, identifiers: Iterable[int], names: Sequence[str]) -> Any:
-        """Return the rows of these ``_rowid``, in their order, as an Arrow table."""
-        wanted = np.fromiter(identifiers, dtype=np.int64)
-        with translated(self.path, "reading it"):
-            found = self.models.take_row_ids(wanted.tolist()).select(list(names)).with_row_id().to_arrow()
-        place = {row: index for index, row in enumerate(found["_rowid"].to_pylist())}
-        return found.take([place[row] for row in wanted.tolist()])
+        """Return some columns of all rows of a table, and ``_rowid``, as an Arrow table."""
+        return self.reading(lambda version: version.columns(names), table.name)
 
     def where(self, column: str, values: Sequence[bytes], names: Sequence[str]) -> Any:
-        """Return the models whose column holds one of these values, as an Arrow table."""
-        condition = _is_one_of(column, values)
-        with translated(self.path, "reading it"):
-            return self.models.search().where(condition).select(list(names)).limit(self.models.count_rows()).to_arrow()
+        """Return the models whose column holds one of these values, as an Arrow table; their checksums fit."""
+        return self.reading(lambda models: models.checked_where(column, values)).select(list(names))
 
     def put(self, table: Any, *parts: Mapping[str, Any]) -> None:
-        """Insert rows, or replace those of the same paths, in one commit; each part maps the columns to values."""
+        """Insert rows, or replace those of the same paths, in one commit; each part maps the columns to values.
+
+        Checksums are computed here.
+        """
         pa = import_installed("pyarrow")
 
-        schema = table.schema
-        tables = [
-            pa.table({field.name: _column(part[field.name], field.type) for field in schema}, schema=schema)
-            for part in parts
-        ]
-        data = pa.concat_tables(tables)
+        fields = [field for field in table.schema if field.name != CHECKSUM]
+        data = pa.concat_tables(
+            [pa.table({field.name: _column(part[field.name], field.type) for field in fields}) for part in parts]
+        )
+        data = data.append_column(CHECKSUM, pa.array(row_checksums(data))).select(table.schema.names)
         merge = table.merge_insert("path").when_matched_update_all().when_not_matched_insert_all()
-        with translated(self.path, "writing to it"):
-            _retried(table, lambda: merge.execute(data))
+        self.commit(table, lambda: merge.execute(data.cast(table.schema)), "writing to it")
 
     def remove(self, table: Any, paths: Sequence[bytes]) -> None:
         """Delete the rows of these paths."""
         for start in range(0, len(paths), _PATHS_A_QUERY):
-            condition = _is_one_of("path", paths[start : start + _PATHS_A_QUERY])
-            with translated(self.path, "writing to it"):
-                _retried(table, functools.partial(table.delete, condition))
+            condition = is_one_of("path", paths[start : start + _PATHS_A_QUERY])
+            self.commit(table, functools.partial(table.delete, condition), "writing to it")
+
+    def commit(self, table: Any, call: Callable[[], Any], doing: str) -> None:
+        """Change a table by a call to Lance; when this returns, the change is on the disk.
+
+        Lance waits for no disk. If the power fails after its commit and before the end of this, the version may be
+        there without all of its data. An object storage has what it has acknowledged.
+
+        Raises:
+            OSError: It cannot be written.
+            ShapeIndexError: It is damaged.
+        """
+        with self._writing:
+            with translated(self.path, doing):
+                _retried(table, call)
+                number = int(table.version)
+            if not is_uri(self.path):
+                self._disk.table(table.name)
+                self._files.write(table.name, number)
 
     def tidy(self) -> bool:
         """Put small fragments together and forget old versions, where that is worth it; whether models were moved."""
@@ -181,12 +224,24 @@ class IndexStore:
             with translated(self.path, "compacting it"):
                 table.checkout_latest()
                 about = table.stats()
-                many = about["fragment_stats"]["num_small_fragments"] > _SMALL_FRAGMENTS
-                if many or self._old_bytes(name) > _WASTE * (about["total_bytes"] + _LITTLE):
-                    kept = timedelta(seconds=_KEPT_SECONDS)
-                    _retried(table, functools.partial(table.optimize, cleanup_older_than=kept))
-                    moved = moved or table is self.models
+            many = about["fragment_stats"]["num_small_fragments"] > _SMALL_FRAGMENTS
+            if many or self._old_bytes(name) > _WASTE * (about["total_bytes"] + _LITTLE):
+                kept = timedelta(seconds=_KEPT_SECONDS)
+                self.commit(table, functools.partial(table.optimize, cleanup_older_than=kept), "compacting it")
+                moved = moved or table is self.models
+                self._files.tidy(name)
         return moved
+
+    def _newest(self, table: str) -> int:
+        """The number of a table's newest version, by the files' names: what stands in a file may be damaged."""
+        newest = None if is_uri(self.path) else self._files.newest(table)
+        if newest is None:
+            with translated(self.path, "reading it"):
+                if table not in self._watched:
+                    self._watched[table] = self._database.open_table(table)
+                self._watched[table].checkout_latest()
+                newest = int(self._watched[table].version)
+        return newest
 
     def _old_bytes(self, name: str) -> int:
         """Size of a table's rows on disk, those of versions before included, that nobody can be reading any more."""
@@ -199,26 +254,6 @@ class IndexStore:
             return 0
         limit = time.time_ns() - _KEPT_SECONDS * 10**9
         return sum(size for size, changed in found if changed < limit)
-
-
-def _basis_table(basis: NDArray[np.float16]) -> Any:
-    pa = import_installed("pyarrow")
-
-    return pa.table({"number": pa.array(range(basis.shape[1]), pa.int32()), "direction": fixed_lists(basis.T)})
-
-
-def vectors(column: Any, dtype: Any) -> NDArray[Any]:
-    """Return a column of fixed-size lists (n, k), of an Arrow table, as an array."""
-    length = column.type.list_size
-    parts = [chunk.flatten().to_numpy().reshape(-1, length) for chunk in column.chunks]
-    return np.concatenate([np.empty((0, length), dtype=dtype), *parts], dtype=dtype, casting="unsafe")
-
-
-def fixed_lists(rows: NDArray[Any]) -> Any:
-    """Return an array (n, k) as a fixed-size list column."""
-    pa = import_installed("pyarrow")
-
-    return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(rows).ravel()), rows.shape[1])
 
 
 def _column(values: Any, kind: Any) -> Any:
@@ -254,43 +289,7 @@ def _names(path: str) -> set[str] | None:
     return set(os.listdir(path)) if os.path.isdir(path) else None  # noqa: PTH112, PTH208 - same
 
 
-def _is_one_of(column: str, values: Sequence[bytes]) -> str:
-    return f"{column} IN ({', '.join(f'X{value.hex()!r}' for value in values)})"
-
-
 def _lancedb() -> Any:
     # Its notes on partitions that stay empty are of no use to who indexes a library.
     os.environ.setdefault("LANCEDB_LOG", "error")
     return import_installed("lancedb")  # takes a second or more
-
-
-def _model_schema(option: SHDOption) -> Any:
-    pa = import_installed("pyarrow")
-
-    fields = [
-        pa.field("path", pa.binary(), nullable=False, metadata=_KEY),  # the file's, absolute, whatever its bytes
-        pa.field("content", pa.binary(32)),  # SHA-256
-        pa.field("identity", pa.binary()),  # content, and how it is read
-        pa.field("size", pa.int64()),
-        pa.field("mtime", pa.int64()),  # nanoseconds
-        pa.field("vertices", pa.int64()),
-        pa.field("triangles", pa.int64()),  # 0: a cloud
-        pa.field("watertight", pa.bool_()),
-        pa.field("option", pa.string()),  # fingerprint
-        pa.field("signature", pa.binary(signature_type(option).itemsize)),
-        pa.field("sketch", pa.list_(pa.float16(), SKETCH_LENGTH)),
-        pa.field("thumbnail", pa.binary()),  # PNG
-    ]
-    return pa.schema(fields, metadata={"fsh3d.format": str(FORMAT), "fsh3d.option": option.fingerprint})
-
-
-def _failure_schema() -> Any:
-    pa = import_installed("pyarrow")
-
-    fields = [
-        pa.field("path", pa.binary(), nullable=False, metadata=_KEY),
-        pa.field("size", pa.int64()),
-        pa.field("mtime", pa.int64()),
-        pa.field("reason", pa.string()),
-    ]
-    return pa.schema(fields)

@@ -7,7 +7,6 @@ import os
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -21,9 +20,11 @@ from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.retrieval._index_errors import ShapeIndexError
 from fsh3d_o3d.retrieval._index_extraction import DescribeFile, Thumbnailer, describe, similarity
 from fsh3d_o3d.retrieval._index_filling import Filling, IndexUpdate
+from fsh3d_o3d.retrieval._index_results import Hit, NearDuplicate
 from fsh3d_o3d.retrieval._index_rows import Query
 from fsh3d_o3d.retrieval._index_search import Candidates, IndexSearch
 from fsh3d_o3d.retrieval._index_store import IndexStore
+from fsh3d_o3d.retrieval._index_version import TableVersion
 from fsh3d_o3d.retrieval._ray_tasks import run_tasks_on_ray
 from fsh3d_o3d.retrieval.extraction import FailedInput
 from fsh3d_o3d.retrieval.library_files import missing_files, require_place
@@ -34,51 +35,15 @@ __all__ = ["Hit", "IndexUpdate", "NearDuplicate", "ShapeIndex", "ShapeIndexError
 Engine = Literal["local", "ray"]
 
 _PRESETS: tuple[Callable[[], SHDOption], ...] = (SHDOption.best, SHDOption.published, SHDOption)
-_HIT_COLUMNS = ("path", "vertices", "triangles", "watertight", "thumbnail")
-
-
-@dataclass(frozen=True, eq=False)
-class Hit:
-    """One model that a query found. Arrays are read-only."""
-
-    path: str
-    """The file, absolute, as it was when it was indexed."""
-    distance: float
-    """How unlike the query it is, in [0, 2]: of the features, and where re-ranked mixed with the aligned distance."""
-    rank: int
-    """1 for the most similar."""
-    rotation: Float64Array
-    """(3, 3): turns the model as the query lies."""
-    transformation: Float64Array
-    """(4, 4): moves, turns and scales the model onto the query, centroid on centroid and RMS radius to RMS radius."""
-    feature_distance: float
-    """Of the rotation-invariant features alone."""
-    vertices: int
-    """Vertices of the mesh, or points of the cloud."""
-    triangles: int
-    """Triangles; 0 for a cloud."""
-    watertight: bool
-    """Whether every edge belongs to exactly two triangles once equal vertices are one."""
-    thumbnail: bytes
-    """A PNG as drawn when it was indexed; empty if none was."""
-
-
-@dataclass(frozen=True)
-class NearDuplicate:
-    """Two models of an index that are almost the same shape, whatever their pose, size and triangulation."""
-
-    first: str
-    """A file."""
-    second: str
-    """The other."""
-    distance: float
-    """Of their features."""
+_HIT_COLUMNS = ["path", "vertices", "triangles", "watertight", "thumbnail"]
+_ROWS_AT_ONCE = 4096  # of near duplicates, thumbnails and all
 
 
 class ShapeIndex:
     """A folder that holds what is needed to find shapes again: no server, no pickle, safe to kill while it is written.
 
-    Any number of processes may read and write it at once. Made by ``ShapeIndex.open``.
+    Any number of processes may read and write it at once, and any number of threads may share one. What a query
+    returns is of one moment, whatever is written meanwhile. Made by ``ShapeIndex.open``.
     """
 
     def __init__(self, store: IndexStore, option: SHDOption) -> None:
@@ -126,8 +91,7 @@ class ShapeIndex:
         return self._option
 
     def __len__(self) -> int:
-        self._store.refresh()
-        return self._store.count()
+        return self._store.latest().count
 
     def add_files(
         self,
@@ -226,8 +190,7 @@ class ShapeIndex:
 
     def failures(self) -> tuple[FailedInput, ...]:
         """Return the files that could not be described, and why."""
-        self._store.refresh()
-        table = self._store.columns(self._store.failures, ["path", "reason"]).to_pydict()
+        table = self._store.reading(lambda failures: failures.checked(), "failures").to_pydict()
         pairs = sorted(zip(table["path"], table["reason"], strict=True))
         return tuple(FailedInput(os.fsdecode(path), reason) for path, reason in pairs)
 
@@ -252,13 +215,7 @@ class ShapeIndex:
         else:
             geometry = geometry_arrays(geometry_or_path)[0]
         query = Query.of(describe(geometry, self._option), self._store.basis)
-        candidates = self._search.nearest(query, max(top, rerank) if rerank else top)
-        if len(candidates.rows) == 0:
-            return ()
-        aligned, rotations = aligned_distances(query.coefficients, candidates.stored.coefficients)
-        distances = mixed_distances(candidates.distances, aligned) if rerank else candidates.distances
-        order = np.argsort(distances, kind="stable")[:top]
-        return self._hits(query, candidates, distances, rotations, order)
+        return self._store.reading(lambda models: self._answer(models, query, top, rerank))
 
     def near_duplicates(self, limit: float = 0.05) -> tuple[NearDuplicate, ...]:
         """Return the pairs of models whose features are at most ``limit`` apart, closest first.
@@ -267,25 +224,45 @@ class ShapeIndex:
         models, and four times as long for twice as many.
         """
         limit = check.number(limit, "limit", minimum=0, maximum=2)
-        pairs = list(self._search.close_pairs(limit))
+        return self._store.reading(lambda models: self._pairs(models, limit))
+
+    def _pairs(self, models: TableVersion, limit: float) -> tuple[NearDuplicate, ...]:
+        pairs = list(self._search.close_pairs(models, limit))
         rows = sorted({row for one, other, _ in pairs for row in (one, other)})
-        names = self._store.rows(rows, ["path"])["path"].to_pylist() if rows else []
-        path = {row: os.fsdecode(name) for row, name in zip(rows, names, strict=True)}
+        path: dict[int, str] = {}
+        for start in range(0, len(rows), _ROWS_AT_ONCE):
+            part = rows[start : start + _ROWS_AT_ONCE]
+            names = models.checked_rows(part)["path"].to_pylist()
+            path |= {row: os.fsdecode(name) for row, name in zip(part, names, strict=True)}
         found = [
             NearDuplicate(min(path[one], path[other]), max(path[one], path[other]), distance)
             for one, other, distance in pairs
         ]
         return tuple(sorted(found, key=lambda pair: (pair.distance, pair.first, pair.second)))
 
+    def _answer(self, models: TableVersion, query: Query, top: int, rerank: int) -> tuple[Hit, ...]:
+        candidates = self._search.nearest(models, query, max(top, rerank) if rerank else top)
+        if len(candidates.rows) == 0:
+            return ()
+        aligned, rotations = aligned_distances(query.coefficients, candidates.stored.coefficients)
+        distances = mixed_distances(candidates.distances, aligned) if rerank else candidates.distances
+        order = np.argsort(distances, kind="stable")[:top]
+        return self._hits(models, query, candidates, distances, rotations, order)
+
     def _hits(
         self,
+        models: TableVersion,
         query: Query,
         candidates: Candidates,
         distances: Float64Array,
         rotations: Float64Array,
         order: Any,
     ) -> tuple[Hit, ...]:
-        table = self._store.rows(candidates.rows[order], _HIT_COLUMNS).to_pydict()
+        rows = models.checked_rows(candidates.rows[order])
+        # A row's checksum ties its numbers to its path: both are of the row that was ranked.
+        if rows["signature"].to_pylist() != [numbers.tobytes() for numbers in candidates.stored.numbers[order]]:
+            raise ShapeIndexError(f"{models.path}: the index is damaged: rows are not where they should be")
+        table = rows.select(_HIT_COLUMNS).to_pydict()
         frames = candidates.stored.frames
         hits = []
         for place, index in enumerate(order):

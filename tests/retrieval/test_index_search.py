@@ -44,14 +44,14 @@ def store(tmp_path_factory):
 def test_inverted_file_finds_the_same(store):
     exact, inverted = IndexSearch(store, QUICK), IndexSearch(store, QUICK, exact_below=100)
     queries = [Query.of(signature, store.basis) for signature in variants(20, 2)]
-    expected = [exact.nearest(query, 10) for query in queries]
+    expected = [exact.nearest(store.latest(), query, 10) for query in queries]
     recall = []
     for indexed in (False, True):
         if indexed:
             inverted.index()
             assert store.models.index_stats("sketch_idx").num_indexed_rows == 1500
         for query, true in zip(queries, expected, strict=True):
-            found = inverted.nearest(query, 10)
+            found = inverted.nearest(store.latest(), query, 10)
             recall.append(np.isin(true.rows, found.rows).mean())
             if recall[-1] == 1:
                 np.testing.assert_array_equal(found.distances, true.distances)
@@ -62,12 +62,13 @@ def test_inverted_file_finds_the_same(store):
 @pytest.mark.parametrize("exact_below", [10**6, 100])
 def test_close_pairs_are_all_pairs_that_close(store, exact_below):
     search = IndexSearch(store, QUICK, exact_below=exact_below)
-    rows, _, features = IndexSearch(store, QUICK)._everything(store.newest())
+    everything = IndexSearch(store, QUICK)._everything(store.latest())
+    rows, features = everything.rows, everything.features
     distances = squareform(pdist(features, "cityblock"))
     limit = float(np.quantile(distances[distances > 0], 0.0005))
     left, right = np.nonzero(np.triu(distances <= limit, k=1))
     expected = {frozenset((int(rows[i]), int(rows[j]))): distances[i, j] for i, j in zip(left, right, strict=True)}
-    found = {frozenset((one, other)): distance for one, other, distance in search.close_pairs(limit)}
+    found = {frozenset((one, other)): distance for one, other, distance in search.close_pairs(store.latest(), limit)}
     assert len(found) > 100
     assert found == pytest.approx(expected, abs=1e-6)
 

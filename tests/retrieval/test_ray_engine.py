@@ -20,7 +20,7 @@ from fsh3d_o3d.retrieval.shape_index import ShapeIndex
 from tests.retrieval.index_cases import QUICK, write_library
 
 COLUMNS = ("path", "content", "identity", "size", "mtime", "vertices", "triangles", "watertight", "option")
-COLUMNS += ("signature", "sketch", "thumbnail")
+COLUMNS += ("signature", "sketch", "thumbnail", "checksum")
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,47 @@
+"""What is found in an index."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fsh3d_o3d._validation import Float64Array
+
+__all__ = ["Hit", "NearDuplicate"]
+
+
+@dataclass(frozen=True, eq=False)
+class Hit:
+    """One model that a query found. Arrays are read-only."""
+
+    path: str
+    """The file, absolute, as it was when it was indexed."""
+    distance: float
+    """How unlike the query it is, in [0, 2]: of the features, and where re-ranked mixed with the aligned distance."""
+    rank: int
+    """1 for the most similar."""
+    rotation: Float64Array
+    """(3, 3): turns the model as the query lies."""
+    transformation: Float64Array
+    """(4, 4): moves, turns and scales the model onto the query, centroid on centroid and RMS radius to RMS radius."""
+    feature_distance: float
+    """Of the rotation-invariant features alone."""
+    vertices: int
+    """Vertices of the mesh, or points of the cloud."""
+    triangles: int
+    """Triangles; 0 for a cloud."""
+    watertight: bool
+    """Whether every edge belongs to exactly two triangles once equal vertices are one."""
+    thumbnail: bytes
+    """A PNG as drawn when it was indexed; empty if none was."""
+
+
+@dataclass(frozen=True)
+class NearDuplicate:
+    """Two models of an index that are almost the same shape, whatever their pose, size and triangulation."""
+
+    first: str
+    """A file."""
+    second: str
+    """The other."""
+    distance: float
+    """Of their features."""
