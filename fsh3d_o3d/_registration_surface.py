@@ -13,6 +13,7 @@ import numpy as np
 
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.adapters._surface_frame import Surface, surface_of
+from fsh3d_o3d.adapters._thinning import thinned
 from fsh3d_o3d.adapters._voxel_fields import VoxelGrid
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.shell_fields import ShellFields, ShellSampler
@@ -101,11 +102,10 @@ def _plan(bandwidth: int) -> tuple[SphericalHarmonicTransform, ShellSampler]:
 
 
 def _thinned(geometry: MeshArrays | PointArrays, most: int) -> MeshArrays | PointArrays:
-    """A cloud of at most so many points, whatever their order; a mesh is sampled anyway."""
+    """A cloud of at most so many points, whatever their order and pose; a mesh is sampled anyway."""
     if isinstance(geometry, MeshArrays) or len(geometry.points) <= most:
         return geometry
-    order = np.lexsort(geometry.points.T)
-    kept = order[np.arange(most) * len(order) // most]
+    kept = thinned(geometry.points, most)
     return PointArrays(geometry.points[kept], None if geometry.normals is None else geometry.normals[kept])
 
 

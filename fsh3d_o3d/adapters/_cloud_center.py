@@ -8,6 +8,7 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.adapters._angular_cells import AngularCells
 from fsh3d_o3d.adapters._robust_fit import tukey
 from fsh3d_o3d.adapters._scattered_fit import crowding, fit_medians
+from fsh3d_o3d.adapters._thinning import thinned
 from fsh3d_o3d.adapters.geometry import PointArrays
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.sphere.grids import fibonacci_grid
@@ -18,7 +19,6 @@ _MOST_POINTS = 200_000
 _MOST_ROUNDS = 30
 _VOXELS = 64  # per eight median radii
 _CELLS = 192
-_ODD = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 
 
 def cloud_center(cloud: PointArrays) -> Float64Array:
@@ -79,16 +79,12 @@ def _unit_frame(points: Float64Array) -> tuple[Float64Array, Float64Array, float
 
 
 def _chosen(points: Float64Array) -> IntArray:
-    """Which points to use: all, or of many a part picked by their coordinates' bits, whatever their order."""
+    """Which points to use: all, or of many a part, the same whatever their order and pose."""
     everything = np.arange(len(points))
     if len(points) <= _MOST_POINTS:
         return everything
-    mixed = (np.ascontiguousarray(points).view(np.uint64) * _ODD).sum(axis=1)
-    mixed = (mixed ^ (mixed >> np.uint64(29))) * _ODD[0]
-    share = (mixed >> np.uint64(11)).astype(np.float64) / 2.0**53
-    chosen = np.flatnonzero(share <= _MOST_POINTS / len(points))
-    # Many copies of few points may all fall on one side of the line.
-    return chosen if len(chosen) >= _MOST_POINTS // 4 else everything
+    chosen = thinned(points, _MOST_POINTS)
+    return chosen if len(chosen) >= _MOST_POINTS // 4 else everything  # which are copies of few
 
 
 def _extents(points: Float64Array) -> list[Float64Array]:

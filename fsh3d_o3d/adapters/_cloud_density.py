@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d.adapters._thinning import thinned
 
 _NEIGHBOURS = 16
 _MOST_POINTS = 65536  # more do not change a feature, only the time it takes
@@ -23,11 +24,7 @@ def density_corrected(
     order of the points does not matter. Normals are the given ones where they are finite and not zero, otherwise the
     direction in which the neighbours spread least (Hoppe et al. 1992).
     """
-    order = np.lexsort(points.T)
-    points = points[order]
-    kept = np.flatnonzero(np.concatenate(([True], (points[1:] != points[:-1]).any(axis=1))))
-    if len(kept) > _MOST_POINTS:
-        kept = kept[np.arange(_MOST_POINTS) * len(kept) // _MOST_POINTS]
+    kept = thinned(points, _MOST_POINTS)
     points = points[kept]
     count = min(_NEIGHBOURS, len(points) - 1)
     distance, index = cKDTree(points).query(points, k=count + 1)
@@ -40,7 +37,7 @@ def density_corrected(
     estimated = np.linalg.eigh(spread)[1][:, :, 0]
     if normals is None:
         return points, estimated, area / area.sum()
-    given = normals[order][kept]
+    given = normals[kept]
     largest = np.abs(given).max(axis=1)
     usable = np.isfinite(largest) & (largest > 0)
     given = given / np.where(usable, largest, 1)[:, None]  # of order one, so that squares neither overflow nor vanish

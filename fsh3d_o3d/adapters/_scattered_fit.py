@@ -212,7 +212,7 @@ def crowding(points: Float64Array) -> Float64Array:
 
     Voxels are cubes that hold about 16 points of a surface of radius 1, as far as 128³ of them go.
     """
-    reach = 1.5 * float(np.quantile(np.abs(points[:: max(1, len(points) // 10_000)]).max(axis=1), 0.9))
+    reach = 1.5 * float(np.quantile(np.abs(points).max(axis=1), 0.9))
     side = np.sqrt(4 * np.pi * 16 / len(points))
     m = int(np.clip(2 * reach / side, 4, 128))
     place = np.floor((points / reach + 1) * (m / 2))

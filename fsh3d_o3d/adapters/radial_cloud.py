@@ -154,12 +154,11 @@ def _polar(points: Float64Array, center: Float64Array) -> tuple[Float64Array, Fl
 
 def _check_number(directions: Float64Array, b: int) -> None:
     """Refuse points in too few different directions; copies of a point say nothing new."""
-    some = directions[:: 1 + len(directions) // max(_PART, 16 * b * b)]
-    distinct = len(AngularCells.of(some, 16.0 * max(b * b, 12)).count)
+    distinct = len(AngularCells.of(directions, 16.0 * max(b * b, 12)).count)
     usable = min(len(directions), 2 * distinct)  # two may share a cell
     if usable < 2 * b * b:
         largest = isqrt(usable // 2)
-        places = "" if distinct > len(some) // 2 else f" in only about {distinct} different directions"
+        places = "" if distinct > len(directions) // 2 else f" in only about {distinct} different directions"
         advice = f"use at most bandwidth {largest}" if largest > 0 else "there are too few for any bandwidth"
         raise GeometryError(
             f"{len(directions)} points{places} are too few for bandwidth {b}, which takes 2b² = {2 * b * b}; {advice}"

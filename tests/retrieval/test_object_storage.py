@@ -17,7 +17,7 @@ from pyarrow.fs import S3FileSystem
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d.adapters import _object_storage as storage
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
+from fsh3d_o3d.adapters.reading import read_geometry_arrays, read_geometry_file
 from fsh3d_o3d.cli import main
 from fsh3d_o3d.retrieval._index_extraction import FileState
 from fsh3d_o3d.retrieval.library_files import library_files
@@ -224,7 +224,7 @@ def test_changed_while_it_is_read(upload, blobs, monkeypatch):
 
     def parse(path, data):
         upload(blobs[1], "a.off")
-        return read_geometry_arrays(blobs[0])
+        return read_geometry_file(blobs[0])
 
     monkeypatch.setattr(extraction, "parse_content", parse)
     with pytest.raises(fsh.GeometryError, match="changed while"):
