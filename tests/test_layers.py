@@ -26,6 +26,7 @@ BESIDE = {
     "_atomic",
     "_imports",
     "_npz",
+    "_printable",
     "_regular_file",
     "errors",
     "_version",

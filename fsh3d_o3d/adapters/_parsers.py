@@ -11,12 +11,12 @@ import errno
 import functools
 import os
 import re
-import unicodedata
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from fsh3d_o3d._printable import printable
 from fsh3d_o3d._regular_file import open_regular
 from fsh3d_o3d.adapters._object_storage import is_uri, object_content
 from fsh3d_o3d.adapters._parse_gltf import parse_glb, parse_gltf
@@ -49,6 +49,7 @@ PARSERS: dict[str, Parser] = {
 """A file's extension, and what turns its content into arrays or raises ``GeometryError`` with the reason."""
 
 _SNIFFED = 4096  # bytes
+_LONGEST_MESSAGE = 2000  # characters
 _TOO_LITTLE_MEMORY = "needs more memory than the reader is allowed"
 # In this order; looked for only where the parser that the extension names has failed.
 _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
@@ -143,7 +144,7 @@ def parser_for(path: str) -> Parser:
 
 def read_error(path: str, reason: str) -> GeometryReadError:
     """Return the error for a file: one line of printable characters, whatever its name and content."""
-    return GeometryReadError(_one_line(f"{path}: {reason}"))
+    return GeometryReadError(printable(f"{path}: {reason}"[:_LONGEST_MESSAGE]))
 
 
 def _content_beside(path: str, name: str) -> bytes:
@@ -170,11 +171,3 @@ def _with_sniffed(path: str, data: bytes, reason: str) -> str:
     if found is None or found == own or (found, own) == ("JSON", "GLTF"):
         return reason
     return f"the content looks like {found}, not {own} ({reason})"
-
-
-def _one_line(message: str) -> str:
-    def shown(character: str) -> str:
-        hidden = unicodedata.category(character) in {"Cc", "Cf", "Cs", "Zl", "Zp"}
-        return character.encode("unicode_escape", "surrogatepass").decode("ascii") if hidden else character
-
-    return "".join(map(shown, message[:2000]))

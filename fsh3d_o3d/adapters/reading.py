@@ -12,6 +12,7 @@ import os
 import warnings
 from typing import Any
 
+from fsh3d_o3d._printable import printable
 from fsh3d_o3d._validation import integer, number
 from fsh3d_o3d.adapters._object_storage import absolute
 from fsh3d_o3d.adapters._parsers import PARSERS, parser_for, read_file
@@ -59,7 +60,7 @@ def read_geometry_arrays(
     """
     found = read_geometry_file(path, isolated=isolated, timeout=timeout, memory_limit=memory_limit)
     for note in found.notes:
-        warnings.warn(f"{os.fsdecode(path)}: {note}", GeometryReadWarning, stacklevel=2)
+        warnings.warn(printable(f"{os.fsdecode(path)}: {note}"), GeometryReadWarning, stacklevel=2)
     return found.geometry
 
 

@@ -12,11 +12,13 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from typing import NoReturn
 
 from fsh3d_o3d._imports import only_installed
+from fsh3d_o3d._printable import printable
 from fsh3d_o3d._version import __version__
 from fsh3d_o3d.cli import align, cache, describe, evaluate, index, info, query, reconstruct
-from fsh3d_o3d.cli._console import error_line
+from fsh3d_o3d.cli._console import error_line, say
 from fsh3d_o3d.cli._process import TerminatedError, open_standard_streams, terminable
 
 __all__ = ["main"]
@@ -29,10 +31,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run(arguments)
 
 
+class _Parser(argparse.ArgumentParser):
+    """Repeats nothing of the command line as it is; its sub-commands are of this class too."""
+
+    def error(self, message: str) -> NoReturn:
+        super().error(printable(message))
+
+
 def _run(arguments: Sequence[str] | None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="fsh3d", description="Shapes as frequencies: meshes and point clouds as spherical harmonics."
-    )
+    parser = _Parser(prog="fsh3d", description="Shapes as frequencies: meshes and point clouds as spherical harmonics.")
     parser.add_argument("--version", action="version", version=f"fsh3d_o3d {__version__}")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
@@ -44,16 +51,16 @@ def _run(arguments: Sequence[str] | None) -> int:
         return stop.code if isinstance(stop.code, int) else 2
     try:
         with terminable(), warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_: print(f"fsh3d: warning: {error_line(message)}", file=sys.stderr)
+            warnings.showwarning = lambda message, *_: say(f"fsh3d: warning: {error_line(message)}", error=True)
             code: int = options.run(options)
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:
-        print("fsh3d: interrupted", file=sys.stderr)
+        say("fsh3d: interrupted", error=True)
         return 130
     except TerminatedError as end:
         with contextlib.suppress(OSError):  # the terminal may be gone
-            print(f"fsh3d: ended by {end}", file=sys.stderr)
+            say(f"fsh3d: ended by {end}", error=True)
         return end.code
     except BrokenPipeError:
         # The reader of our output has gone; what Python would flush at exit goes nowhere instead.
@@ -64,5 +71,5 @@ def _run(arguments: Sequence[str] | None) -> int:
             raise
         foreseen = isinstance(error, (ValueError, TypeError, OSError, ImportError, MemoryError))
         prefix = "" if foreseen else f"internal error, please report it ({type(error).__name__}): "
-        print(f"fsh3d: error: {prefix}{error_line(error)}", file=sys.stderr)
+        say(f"fsh3d: error: {prefix}{error_line(error)}", error=True)
         return 2

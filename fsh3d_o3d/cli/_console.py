@@ -5,11 +5,19 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import sys
 from collections.abc import Mapping
 from typing import Any
 
 from tqdm import tqdm
+
+from fsh3d_o3d._printable import printable
+
+
+def say(*lines: str, error: bool = False) -> None:
+    """Print lines, on standard error if they are about one; all that a command prints goes through here."""
+    print(*map(printable, lines), sep="\n", file=sys.stderr if error else sys.stdout)
 
 
 def error_line(error: object) -> str:
@@ -17,8 +25,9 @@ def error_line(error: object) -> str:
     if isinstance(error, MemoryError) and not str(error):
         return "out of memory"
     if isinstance(error, OSError) and error.strerror:
-        return " ".join(f"{error.filename}: {error.strerror}".split()) if error.filename else error.strerror
-    return " ".join(str(error).split()) or type(error).__name__
+        name = os.fsdecode(error.filename) if isinstance(error.filename, (str, bytes, os.PathLike)) else error.filename
+        return printable(f"{name}: {error.strerror}" if name else error.strerror)
+    return printable(" ".join(str(error).split())) or type(error).__name__
 
 
 def print_json(values: Mapping[str, Any]) -> None:
@@ -44,7 +53,7 @@ class Progress:
         if self._started:
             self._bar.update()
         self._started = True
-        self._bar.set_description_str(name)
+        self._bar.set_description_str(printable(name))
 
     def close(self) -> None:
         """The last step is done, or the job has failed."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,7 +13,7 @@ from fsh3d_o3d.adapters.conformal import ConformalMapOption, conformal_map
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.radial_mesh import Behaviour
 from fsh3d_o3d.adapters.repair import repair_mesh
-from fsh3d_o3d.cli._console import point_or_name
+from fsh3d_o3d.cli._console import point_or_name, say
 from fsh3d_o3d.shapes import ConformalShape, RadialShape, ShellShape
 
 Shape = RadialShape | ShellShape | ConformalShape
@@ -114,11 +113,11 @@ def repaired(geometry: MeshArrays | PointArrays, options: argparse.Namespace) ->
         return _closed(geometry)
     repair = repair_mesh(geometry)
     before, after = repair.before, repair.after
-    print(
+    say(
         f"repaired: {len(geometry.triangles)} to {len(repair.mesh.triangles)} triangles, "
         f"{'closed' if before.closed else 'not closed'} to {'closed' if after.closed else 'not closed'}, "
         f"genus {before.genus} to {after.genus}, area changed by {100 * (after.area / before.area - 1):.3g} %",
-        file=sys.stderr,
+        error=True,
     )
     return repair.mesh, {}
 
@@ -127,13 +126,13 @@ def _closed(mesh: MeshArrays) -> tuple[MeshArrays, dict[str, Any]]:
     closing = prepare_closed(mesh)
     rms, farthest = max(closing.rms, closing.rms_back), max(closing.hausdorff, closing.hausdorff_back)
     if not closing.changed:
-        print("repaired: there was nothing to change", file=sys.stderr)
+        say("repaired: there was nothing to change", error=True)
     else:
         why = f" ({', '.join(closing.problems)})" if closing.problems else ""
-        print(
+        say(
             f"{closing.method}{why}: {'; '.join(closing.changed)}; {100 * rms:.3g} % of the diagonal RMS from the "
             f"original, {100 * farthest:.3g} % at most",
-            file=sys.stderr,
+            error=True,
         )
     return closing.mesh, {"repair": closing.method, "repair_rms": rms, "repair_max": farthest}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fsh3d_o3d.cli._names import printable
+from fsh3d_o3d._printable import printable
 from fsh3d_o3d.retrieval.library_files import LibraryScan
 
 _NAMED = 10  # extensions; all are in the JSON

@@ -17,7 +17,7 @@ from fsh3d_o3d.adapters.writing import (
     WRITABLE_MESH_FORMATS,
     write_geometry,
 )
-from fsh3d_o3d.cli._console import Progress, print_json
+from fsh3d_o3d.cli._console import Progress, print_json, say
 from fsh3d_o3d.cli._targets import checked_targets
 from fsh3d_o3d.registration import (
     SphericalRegistrationOption,
@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(_figures(result))
     else:
-        print(_summary(options, result, targets))
+        say(*_summary(options, result, targets))
     return 0
 
 
@@ -137,21 +137,19 @@ def _figures(result: SphericalRegistrationResult) -> dict[str, Any]:
     }
 
 
-def _summary(options: argparse.Namespace, result: SphericalRegistrationResult, targets: list[str]) -> str:
+def _summary(options: argparse.Namespace, result: SphericalRegistrationResult, targets: list[str]) -> list[str]:
     doubt = ""
     if result.fitness < _WHOLE:
         doubt = ": the shapes differ, or overlap in part only"
     elif result.ambiguity != "none":
         doubt = ": other rotations fit about as well"
     mirrored = ", mirrored" if result.reflected else ""
-    return "\n".join(
-        [
-            f"{options.source} onto {options.target}: confidence {result.confidence:.2f}{doubt}",
-            f"  scale {result.scale:.6g}{mirrored}, {100 * result.fitness:.3g} % of the source within "
-            f"{result.max_correspondence_distance:.3g} of the target, RMSE of those {result.inlier_rmse:.3g}",
-            *(f"  wrote {target}" for target in targets),
-        ]
-    )
+    return [
+        f"{options.source} onto {options.target}: confidence {result.confidence:.2f}{doubt}",
+        f"  scale {result.scale:.6g}{mirrored}, {100 * result.fitness:.3g} % of the source within "
+        f"{result.max_correspondence_distance:.3g} of the target, RMSE of those {result.inlier_rmse:.3g}",
+        *(f"  wrote {target}" for target in targets),
+    ]
 
 
 def _matrix_text(transformation: Float64Array) -> bytes:

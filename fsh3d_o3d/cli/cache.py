@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from fsh3d_o3d.cli._console import say
 from fsh3d_o3d.retrieval import clear_descriptor_cache, descriptor_cache_path
 from fsh3d_o3d.sphere import clear_weight_cache, weight_cache_directory
 
@@ -21,11 +22,11 @@ def run(options: argparse.Namespace) -> int:
     folder = weight_cache_directory()
     if options.clear:
         clear_descriptor_cache()
-        print(f"removed {clear_weight_cache()} files from {folder}, and all descriptors from {descriptor_cache_path()}")
+        say(f"removed {clear_weight_cache()} files from {folder}, and all descriptors from {descriptor_cache_path()}")
         return 0
     sizes = [path.stat().st_size for path in folder.glob("*.npz")]
-    print(f"{folder}: {len(sizes)} files, {sum(sizes) / 2**20:.1f} MiB")
+    say(f"{folder}: {len(sizes)} files, {sum(sizes) / 2**20:.1f} MiB")
     descriptors = descriptor_cache_path()
     size = descriptors.stat().st_size if descriptors.exists() else 0
-    print(f"{descriptors}: {size / 2**20:.1f} MiB")
+    say(f"{descriptors}: {size / 2**20:.1f} MiB")
     return 0

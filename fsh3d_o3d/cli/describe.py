@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from fsh3d_o3d import _validation as check
+from fsh3d_o3d._printable import encodable, printable
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
-from fsh3d_o3d.cli._console import Progress, error_line, print_json
-from fsh3d_o3d.cli._names import encodable
+from fsh3d_o3d.cli._console import Progress, error_line, print_json, say
 from fsh3d_o3d.descriptors import SHDOption, shd_descriptor
 from fsh3d_o3d.shapes.storage import write_arrays
 
@@ -64,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
             except (ValueError, OSError, MemoryError) as error:
                 failed.append({"path": os.fspath(path), "reason": error_line(error)})
     for failure in failed:
-        print(f"fsh3d: error: {_named(**failure)}", file=sys.stderr)
+        say(f"fsh3d: error: {_named(**failure)}", error=True)
     if not features:
         return 2
     arrays = {
@@ -81,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
         summary = {"output": options.output, "option": options.option, "fingerprint": option.fingerprint}
         print_json({**summary, "described": len(paths), "shape": [rows, columns], "failed": failed})
     else:
-        print(f"{options.output}: {len(paths)} of {len(options.inputs)} files, {rows} × {columns} numbers each")
+        say(f"{options.output}: {len(paths)} of {len(options.inputs)} files, {rows} × {columns} numbers each")
     return 1 if failed else 0
 
 
@@ -107,4 +106,4 @@ def _check_target(options: argparse.Namespace) -> None:
 
 def _named(path: str, reason: str) -> str:
     """The reason in one line that names the file, once."""
-    return reason if path in reason else f"{encodable(path)}: {reason}"
+    return reason if printable(path) in reason else f"{path}: {reason}"

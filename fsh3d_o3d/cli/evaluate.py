@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
 from fsh3d_o3d._atomic import atomic_write_bytes
+from fsh3d_o3d.cli._console import say
 from fsh3d_o3d.cli.describe import SHD_OPTIONS
 from fsh3d_o3d.descriptors import CPSHDOption
 from fsh3d_o3d.retrieval.classification import read_classification
@@ -87,9 +87,9 @@ def run(options: argparse.Namespace) -> int:
 
         title = f"{name}, {evaluation.models} models"
         atomic_write_bytes(options.plot, precision_recall_png(evaluation.metrics.precision_recall, title))
-    print("\n".join(_table(name, evaluation)))
+    say(*_table(name, evaluation))
     for failed in evaluation.failed:
-        print(f"fsh3d: failed: {failed.path}: {failed.reason}", file=sys.stderr)
+        say(f"fsh3d: failed: {failed.path}: {failed.reason}", error=True)
     return 1 if evaluation.failed else 0
 
 

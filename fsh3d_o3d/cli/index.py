@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from typing import Any
 
-from fsh3d_o3d.cli._console import print_json
-from fsh3d_o3d.cli._names import printable
+from fsh3d_o3d.cli._console import print_json, say
 from fsh3d_o3d.cli._passed_over import in_brackets, passed_over
 from fsh3d_o3d.cli.describe import SHD_OPTIONS
 from fsh3d_o3d.retrieval.extraction import FailedInput
@@ -81,14 +79,14 @@ def run(options: argparse.Namespace) -> int:
         print_json({"index": options.index, **figures, "failed": failures, **passed, "seconds": seconds})
     else:
         rest = ", ".join(f"{count} {name}" for name, count in list(figures.items())[1:])
-        print(f"{printable(options.index)}: {figures['models']} models ({rest}, {len(failed)} failed), {seconds:.1f} s")
+        say(f"{options.index}: {figures['models']} models ({rest}, {len(failed)} failed), {seconds:.1f} s")
         for line in passed_over(scan):
-            print(line)
+            say(line)
     return 1 if failed else 0
 
 
 def _print_failed(one: FailedInput) -> None:
-    print(f"fsh3d: failed: {printable(one.path)}: {printable(one.reason)}", file=sys.stderr)
+    say(f"fsh3d: failed: {one.path}: {one.reason}", error=True)
 
 
 def _thumbnail() -> Any:

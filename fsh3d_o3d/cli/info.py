@@ -13,7 +13,7 @@ from fsh3d_o3d.adapters.radial_cloud import cloud_center, fit_radial_cloud
 from fsh3d_o3d.adapters.radial_mesh import ACCEPTED_DIRECTIONS, HIDDEN_AREA
 from fsh3d_o3d.adapters.reading import read_geometry_file
 from fsh3d_o3d.adapters.star import StarReport, star_center
-from fsh3d_o3d.cli._console import Progress, add_output_options, print_json
+from fsh3d_o3d.cli._console import Progress, add_output_options, print_json, say
 from fsh3d_o3d.errors import GeometryError
 
 _COARSE_BANDWIDTH = 8
@@ -42,11 +42,11 @@ def run(options: argparse.Namespace) -> int:
         print_json({"file": os.fspath(options.file), **facts, "notes": list(found.notes)})
     else:
         width = max(map(len, facts))
-        print(options.file)
+        say(options.file)
         for name, value in facts.items():
-            print(f"  {name.replace('_', ' '):<{width}}  {_shown(value)}")
+            say(f"  {name.replace('_', ' '):<{width}}  {_shown(value)}")
         for note in found.notes:
-            print(f"  {'note':<{width}}  {note}")
+            say(f"  {'note':<{width}}  {note}")
     return 0
 
 

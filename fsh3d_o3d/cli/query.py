@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
-from fsh3d_o3d.cli._console import error_line, print_json
-from fsh3d_o3d.cli._names import printable
+from fsh3d_o3d.cli._console import error_line, print_json, say
 from fsh3d_o3d.cli._passed_over import in_brackets
 from fsh3d_o3d.retrieval.library_files import LibraryScan, is_folder, scan_library
 from fsh3d_o3d.retrieval.shape_index import Hit, ShapeIndex
@@ -69,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
             if single:
                 raise
             failed += 1
-            print(f"fsh3d: failed: {printable(path)}: {printable(error_line(error))}", file=sys.stderr)
+            say(f"fsh3d: failed: {path}: {error_line(error)}", error=True)
             continue
         _print(path, hits, options)
         if options.report:
@@ -82,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
 def _scan(options: argparse.Namespace) -> LibraryScan:
     scan = scan_library(options.input, leave_out=options.index)
     for folder in scan.not_listed:
-        print(f"fsh3d: failed: {printable(folder.path)}: {folder.reason}", file=sys.stderr)
+        say(f"fsh3d: failed: {folder.path}: {folder.reason}", error=True)
     if not scan.files:
         raise ValueError(f"{options.input}: no meshes or point clouds in this folder{in_brackets(scan)}")
     return scan
@@ -103,9 +101,9 @@ def _print(path: str, hits: Sequence[Hit], options: argparse.Namespace) -> None:
         ]
         print_json({"query": path, "hits": answers})
         return
-    print(f"{printable(path)}:")
+    say(f"{path}:")
     for hit in hits:
-        print(f"{hit.rank:>5}  {hit.distance:.4f}  {printable(hit.path)}")
+        say(f"{hit.rank:>5}  {hit.distance:.4f}  {hit.path}")
 
 
 def _near_duplicates(index: ShapeIndex, options: argparse.Namespace) -> int:
@@ -115,8 +113,8 @@ def _near_duplicates(index: ShapeIndex, options: argparse.Namespace) -> int:
         print_json({"models": len(index), "limit": options.limit, "pairs": found})
         return 0
     for pair in pairs:
-        print(f"{pair.distance:.4f}  {printable(pair.first)}  {printable(pair.second)}")
-    print(f"{len(pairs)} pairs within {options.limit:g} among {len(index)} models", file=sys.stderr)
+        say(f"{pair.distance:.4f}  {pair.first}  {pair.second}")
+    say(f"{len(pairs)} pairs within {options.limit:g} among {len(index)} models", error=True)
     return 0
 
 

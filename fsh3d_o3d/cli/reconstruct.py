@@ -15,7 +15,7 @@ from fsh3d_o3d.adapters.mesh_measures import measure_mesh
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.adapters.surface_error import SurfaceError, surface_error, vertex_distances
 from fsh3d_o3d.adapters.writing import WRITABLE_MESH_FORMATS, write_geometry
-from fsh3d_o3d.cli._console import Progress, add_output_options, print_json
+from fsh3d_o3d.cli._console import Progress, add_output_options, print_json, say
 from fsh3d_o3d.cli._methods import Encoded, Shape, add_method_options, checked_bandwidth, encoded, repaired
 from fsh3d_o3d.cli._targets import checked_targets, level_path
 from fsh3d_o3d.shapes import ConformalShape
@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"method": options.method, "bandwidth": b, **figures})
     else:
-        print(_summary(options, original, shape, error, seconds, targets))
+        say(*_summary(options, original, shape, error, seconds, targets))
     return 0
 
 
@@ -116,7 +116,7 @@ def _summary(
     error: SurfaceError,
     seconds: float,
     targets: list[str],
-) -> str:
+) -> list[str]:
     source = (
         f"{len(original.triangles)} triangles" if isinstance(original, MeshArrays) else f"{len(original.points)} points"
     )
@@ -124,14 +124,12 @@ def _summary(
     volume = "" if relative.volume_error is None else f", volume {100 * relative.volume_error:.3g} %"
     if isinstance(original, PointArrays):
         volume = " (all points to the surface, outliers included)"
-    return "\n".join(
-        [
-            f"{options.input}: {source}, {options.method}, {shape.coefficients.size} coefficients in {seconds:.2f} s",
-            f"  error in % of the diagonal {error.diagonal:.6g}: RMSE {100 * relative.rmse:.3g}, "
-            f"MAE {100 * relative.mae:.3g}, maximum {100 * relative.maximum:.3g}{volume}",
-            *(f"  wrote {target}" for target in targets),
-        ]
-    )
+    return [
+        f"{options.input}: {source}, {options.method}, {shape.coefficients.size} coefficients in {seconds:.2f} s",
+        f"  error in % of the diagonal {error.diagonal:.6g}: RMSE {100 * relative.rmse:.3g}, "
+        f"MAE {100 * relative.mae:.3g}, maximum {100 * relative.maximum:.3g}{volume}",
+        *(f"  wrote {target}" for target in targets),
+    ]
 
 
 def _draw(

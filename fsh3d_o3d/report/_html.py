@@ -6,19 +6,18 @@ import base64
 import hashlib
 import html
 import json
-import unicodedata
 from collections.abc import Sequence
 from importlib import resources
 from typing import Any
 
 from fsh3d_o3d._imports import import_installed
+from fsh3d_o3d._printable import printable
 from fsh3d_o3d.report._figures import Figure
 
 
 def escaped(text: str) -> str:
-    """Return text as HTML, in an element or in a quoted attribute; control and lone surrogate characters as U+FFFD."""
-    bad = {c for c in set(text) - {"\n", "\t"} if unicodedata.category(c) in ("Cc", "Cs")}
-    return html.escape(text.translate({ord(c): "\ufffd" for c in bad}))
+    """Return text as HTML, in one line, in an element or in a quoted attribute; what is hidden in it is escaped."""
+    return html.escape(printable(text))
 
 
 def asset(name: str) -> str:

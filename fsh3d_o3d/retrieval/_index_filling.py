@@ -13,6 +13,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from fsh3d_o3d._printable import printable
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.retrieval._index_extraction import Described, DescribeFile, FileState, identity
 from fsh3d_o3d.retrieval._index_rows import model_columns, moved_columns
@@ -192,4 +193,5 @@ class Filling:
 
 
 def _one_line(reason: str, path: str) -> str:
-    return " ".join(reason.removeprefix(f"{path}: ").split()) or "failed without a message"
+    reason = reason.removeprefix(f"{path}: ").removeprefix(f"{printable(path)}: ")
+    return " ".join(reason.split()) or "failed without a message"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import functools
 import os
+import re
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._imports import import_installed
+from fsh3d_o3d._printable import encodable
 from fsh3d_o3d.adapters._object_storage import folder_names, is_uri, lance_options, list_objects
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.retrieval._index_checksums import CHECKSUM, FOLDER, FileChecksums, row_checksums
@@ -36,6 +38,7 @@ _ATTEMPTS = 20  # to write while others do
 _PATHS_A_QUERY = 500
 _READINGS = 4  # of versions that others remove while they are read; one that was replaced just now is seldom removed
 _TABLES = {"failures.lance", "basis.lance", "models.lance", FOLDER}
+_CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 _KEPT_SECONDS = 3600  # for which a version stays readable
 _WASTE = 1.5  # times the rows there are: then versions before are removed
 _LITTLE = 2**20  # bytes that nobody minds
@@ -73,6 +76,10 @@ class IndexStore:
             ShapeIndexError: The folder holds something else, a damaged index, or one of a newer version.
             OSError: It cannot be made.
         """
+        if encodable(path) != path or _CONTROL.search(path):  # Lance takes no others
+            raise ShapeIndexError(
+                f"{path}: the name of an index, and of its folder, must be UTF-8 without control characters"
+            )
         names = _names(path)
         there = names is not None and "models.lance" in names and not _unmade(path)
         if not there and option is None:

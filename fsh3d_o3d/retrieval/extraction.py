@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from fsh3d_o3d import _validation as check
+from fsh3d_o3d._printable import printable
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.reading import read_geometry_file
@@ -170,7 +171,7 @@ def _state(path: str) -> tuple[int, int, int] | None:
 
 def _one_line(reason: str, path: str) -> str:
     for prefix in (path, os.path.abspath(path)):  # noqa: PTH100 - as the reader names it: links are not resolved
-        reason = reason.removeprefix(f"{prefix}: ")
+        reason = reason.removeprefix(f"{prefix}: ").removeprefix(f"{printable(prefix)}: ")
     return " ".join(reason.split()) or "failed without a message"
 
 

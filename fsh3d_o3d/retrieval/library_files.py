@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
+from fsh3d_o3d._printable import printable
 from fsh3d_o3d.adapters._object_storage import absolute, is_uri, list_objects, object_states, require_bucket
 from fsh3d_o3d.adapters.reading import READABLE_FORMATS
 from fsh3d_o3d.retrieval.extraction import FailedInput
@@ -78,7 +79,7 @@ def library_files(folder: str | os.PathLike[str], *, leave_out: str | os.PathLik
     """Yield the files that ``scan_library`` finds; folders that cannot be listed are warned of."""
     found = scan_library(folder, leave_out=leave_out)
     for one in found.not_listed:
-        warnings.warn(f"{one.path}: {one.reason}", stacklevel=2)
+        warnings.warn(printable(f"{one.path}: {one.reason}"), stacklevel=2)
     yield from found.files
 
 

@@ -10,6 +10,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from fsh3d_o3d._printable import printable
+
 MODEL_FORMATS: tuple[str, ...] = (".off", ".ply", ".obj", ".stl", ".glb")
 """Extensions that are looked for."""
 
@@ -71,4 +73,5 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _warn(error: OSError) -> None:
-    warnings.warn(f"{error.filename}: {error.strerror}, so models in it are not found", stacklevel=2)
+    message = f"{error.filename}: {error.strerror}, so models in it are not found"
+    warnings.warn(printable(message), stacklevel=2)

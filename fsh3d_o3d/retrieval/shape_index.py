@@ -12,6 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from fsh3d_o3d import _validation as check
+from fsh3d_o3d._printable import printable
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.adapters._object_storage import absolute
 from fsh3d_o3d.adapters.geometry import geometry_arrays
@@ -294,4 +295,4 @@ def _by_folder(unknown: Mapping[str, str]) -> list[FailedInput]:
 
 
 def _warn_of(kept: FailedInput) -> None:
-    warnings.warn(f"{kept.path}: {kept.reason}", stacklevel=3)
+    warnings.warn(printable(f"{kept.path}: {kept.reason}"), stacklevel=3)
