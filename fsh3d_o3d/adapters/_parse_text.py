@@ -102,6 +102,11 @@ class TextLines:
             letters[inside, place] = self.data[starts[inside] + place]
         return letters.view(f"S{width}").ravel()
 
+    def raw(self, line: int) -> bytes:
+        """Return one line as it stands, from its first token to its last."""
+        first = self.first[line]
+        return self.data[self.token_starts[first] : self.token_stops[first + self.counts[line] - 1]].tobytes()
+
     def span(self, start: int, stop: int) -> NumberRows:
         """Return lines ``start`` … ``stop`` − 1 as numbers."""
         if start >= stop:

@@ -233,7 +233,7 @@ def test_line_cut_short_is_an_error_where_nothing_is_counted(name, write):
         ("e.off", "", "the file is empty"),
         ("e.ply", "\n \n", "nothing but blanks"),
         ("z.off", "OFF 3 0 0\n0 0 0\n1 0 0\n0 1 0\n", "0 faces"),
-        ("z.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "0 faces"),
+        ("z.obj", "vt 0 0\nv 0 0 0\nv 1 0 0\nv 0 1 0\n", "0 faces"),
         ("z.stl", b"\0" * 84, "nothing but blanks"),
         (
             "z.ply",

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 
+import pytest
+
 from fsh3d_o3d.cli import main
 from tests.adapters.mutations import mutated_files
 
 
+@pytest.mark.filterwarnings("ignore::fsh3d_o3d.errors.GeometryReadWarning")  # some are read with a note
 def test_damaged_files_end_in_0_or_2(tmp_path, capsys):
     inbox, outbox = tmp_path / "in", tmp_path / "out"
     inbox.mkdir()
