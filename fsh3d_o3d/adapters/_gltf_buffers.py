@@ -46,17 +46,18 @@ class GltfBuffers:
         return content[begin : begin + size]
 
     def _decompress(self, name: str, entry: dict[str, Any], size: int) -> memoryview:
-        count, stride = natural(entry, "count"), natural(entry, "byteStride")
-        if count * stride != size:
-            raise GeometryReadError(f"damaged: {name} holds {count} items of {stride} bytes, not the {size} announced")
-        if size + sum(map(len, self._decompressed.values())) > _MOST_DECOMPRESSED:
-            raise GeometryReadError(f"{name} grows to more than {_MOST_DECOMPRESSED} bytes")
         data = bytes(self._part(entry, f"a part compressed by {name}"))
+        if size + sum(map(len, self._decompressed.values())) > _MOST_DECOMPRESSED:
+            raise GeometryReadError(f"compressed ({name}), and grows to more than {_MOST_DECOMPRESSED} bytes")
         try:
+            count, stride = natural(entry, "count"), natural(entry, "byteStride")
+            if count * stride != size:
+                raise ValueError(f"{count} items of {stride} bytes, not the {size} announced")
             items = decode_meshopt(data, count, stride, entry.get("mode"), entry.get("filter", "NONE"))
-            return memoryview(cast(Any, items))
-        except ValueError as error:
-            raise GeometryReadError(f"compressed ({name}), and what is compressed is damaged: {error}") from None
+        except (ValueError, GeometryReadError) as error:
+            reason = str(error).removeprefix("damaged: ")
+            raise GeometryReadError(f"compressed ({name}), and what is compressed is damaged: {reason}") from None
+        return memoryview(cast(Any, items))
 
     def _buffer(self, index: object) -> memoryview:
         buffer = self._document.entry("buffers", index)
@@ -72,9 +73,11 @@ class GltfBuffers:
     def _content(self, index: int, buffer: dict[str, Any]) -> memoryview:
         uri = buffer.get("uri")
         if uri is None:
-            if index != 0 or self._document.binary is None:
-                raise GeometryReadError(f"damaged: buffer {index} has no content")
-            return self._document.binary
+            if index == 0 and self._document.binary is not None:
+                return self._document.binary
+            compression = [name for name in MESHOPT if name in self._document.required or extension(buffer, name)]
+            named = f"compressed ({compression[0]}), and damaged" if compression else "damaged"
+            raise GeometryReadError(f"{named}: buffer {index} has no content")
         if not isinstance(uri, str):
             raise GeometryReadError(f"damaged: the uri of buffer {index} is not text")
         if uri[:5].lower() == "data:":

@@ -81,5 +81,5 @@ class Skin:
         weights[alone, 0] = 1  # as viewers do: it follows the first joint that it names
         off = int((np.abs(sums - 1) > _SUM_TOLERANCE).sum())
         if off:
-            document.source.note(f"the weights of {off} vertices do not add up to 1; they were normalised")
+            document.source.note(f"weights that do not add up to 1 were normalised, at vertices: {off}")
         return names, weights / np.where(alone, 1, sums)[:, None]

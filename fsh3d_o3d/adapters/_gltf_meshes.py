@@ -92,6 +92,9 @@ class GltfMeshes:
             mode = natural(primitive, "mode", _TRIANGLES)
             if mode >= len(_SHAPES):
                 raise GeometryReadError(f"damaged: a primitive of mesh {index} has the unknown mode {mode}")
+            if "POSITION" not in primitive["attributes"]:  # the format has it passed over
+                self._document.source.note(f"a primitive of mesh {index} has no positions; it was passed over")
+                continue
             yield _SHAPES[mode], primitive
 
     def _primitive(self, placed: PlacedMesh, primitive: dict[str, Any], offset: int) -> Piece:

@@ -114,7 +114,7 @@ class GltfScene:
                 else:
                     hidden += 1
         if hidden:
-            self._document.source.note(f"{hidden} nodes with a mesh are hidden and were left out")
+            self._document.source.note(f"hidden nodes were left out: {hidden} with a mesh")
         return list(placed.values())
 
     def _place(self, placed: dict[tuple[Any, ...], PlacedMesh], index: int, node: dict[str, Any]) -> None:

@@ -124,7 +124,7 @@ def _rotations(source: Source, quaternions: Float64Array) -> Float64Array:
     lengths = np.linalg.norm(quaternions, axis=1)
     off: IntArray = np.flatnonzero(np.abs(lengths - 1) > _UNIT_TOLERANCE)
     if len(off):
-        source.note(f"{len(off)} rotations are not unit quaternions; they were normalised")
+        source.note(f"rotations that are not unit quaternions were normalised: {len(off)}")
     units = np.where(lengths[:, None] > 0, quaternions, [0, 0, 0, 1]) / np.where(lengths > 0, lengths, 1)[:, None]
     x, y, z, w = units.T
     rows = [

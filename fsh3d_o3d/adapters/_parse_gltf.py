@@ -45,10 +45,9 @@ def _geometry(document: GltfDocument) -> MeshArrays | PointArrays:
             raise GeometryReadError("no surface: there are no triangles, only lines")
         raise GeometryReadError("no surface: the scene places no triangles and no points")
     kept: Shape = "triangles" if shapes["triangles"] else "points"
-    others = [f"{shapes[shape]} primitives of {shape}" for shape in ("points", "lines") if shapes[shape]]
-    passed = [other for other in others if not other.endswith(kept)]
+    passed = [shape for shape in ("points", "lines") if shapes[shape] and shape != kept]
     if passed:
-        document.source.note(f"beside the {kept}, {' and '.join(passed)} were passed over")
+        document.source.note(f"{' and '.join(passed)} beside the {kept} were passed over")
     pieces = _pieces(scene, meshes, kept)
     if kept == "triangles":
         return mesh_of(document.source, *_surface(scene, pieces))

@@ -242,6 +242,7 @@ def test_meshopt_filters_of_points():
         ({"mode": "WORDS"}, "the mode 'WORDS'"),
         ({"filter": "SEPIA"}, "the filter 'SEPIA'"),
         ({"buffer": 1}, "buffer 1 has no content"),
+        ({"count": None}, "count must be a number"),
     ],
 )
 def test_damaged_meshopt(change, reason):
@@ -250,10 +251,18 @@ def test_damaged_meshopt(change, reason):
     with pytest.raises(GeometryReadError, match=reason) as caught:
         parse(with_fallback_buffer(file))
     assert "cannot be parsed" not in str(caught.value)
+    assert "compressed (KHR_meshopt_compression)" in str(caught.value) or "a part compressed by" in str(caught.value)
+
+
+def test_meshopt_that_says_nothing_of_a_buffer_view():
+    file = meshopt_file("KHR_meshopt_compression", (SHEET["shorts1"], 8), (SHEET["triangles"], "TRIANGLES"))
+    del file.tree["bufferViews"][0]["extensions"]
+    with pytest.raises(GeometryReadError, match=r"compressed \(KHR_meshopt_compression\).* buffer 1 has no content"):
+        parse(with_fallback_buffer(file))
 
 
 def test_meshopt_that_would_fill_memory(monkeypatch):
     monkeypatch.setattr("fsh3d_o3d.adapters._gltf_buffers._MOST_DECOMPRESSED", 1000)
     file = meshopt_file("KHR_meshopt_compression", (SHEET["shorts1"], 8), (SHEET["triangles"], "TRIANGLES"))
-    with pytest.raises(GeometryReadError, match="KHR_meshopt_compression grows to more than 1000 bytes"):
+    with pytest.raises(GeometryReadError, match=r"KHR_meshopt_compression\), and grows to more than 1000 bytes"):
         parse(with_fallback_buffer(file))

@@ -285,7 +285,7 @@ def test_weights_that_do_not_add_up():
     joints, weights = spread(0)
     file = skinned(joints, 3 * weights, None, [{"translation": [1, 0, 0]}] * 2, roots=[1, 2])
     np.testing.assert_allclose(parse(file.glb()).vertices, moved([1, 0, 0]), **CLOSE)
-    assert "weights of 6 vertices do not add up to 1" in notes(file.glb())[0]
+    assert "weights that do not add up to 1 were normalised, at vertices: 6" in notes(file.glb())[0]
     none = skinned(joints, 0 * weights, None, [{"translation": [1, 0, 0]}] * 2, roots=[1, 2])
     np.testing.assert_allclose(parse(none.glb()).vertices, moved([1, 0, 0]), **CLOSE)
     bytes_ = skinned(joints, weights, None, [{"translation": [1, 0, 0]}] * 2, roots=[1, 2])
@@ -587,12 +587,10 @@ def test_points_and_lines_beside_triangles_are_passed_over_with_a_note():
     lines = {"mode": 3, "attributes": {"POSITION": 0}}
     file.tree["meshes"][0]["primitives"] += [{"mode": 0, "attributes": {"POSITION": 0}}, lines, lines]
     assert len(parse(file.glb()).triangles) == 8
-    assert notes(file.glb()) == (
-        "beside the triangles, 1 primitives of points and 2 primitives of lines were passed over",
-    )
+    assert notes(file.glb()) == ("points and lines beside the triangles were passed over",)
     del file.tree["meshes"][0]["primitives"][0]
     assert isinstance(parse(file.glb()), PointArrays)
-    assert notes(file.glb()) == ("beside the points, 2 primitives of lines were passed over",)
+    assert notes(file.glb()) == ("lines beside the points were passed over",)
     del file.tree["meshes"][0]["primitives"][0]
     refuse(file.glb(), "there are no triangles, only lines")
     file.tree["meshes"][0]["primitives"] = []
@@ -600,6 +598,13 @@ def test_points_and_lines_beside_triangles_are_passed_over_with_a_note():
 
 
 # ---- the scene ----
+
+
+def test_primitives_without_positions_are_passed_over():
+    file = placed([{"mesh": 0}])
+    file.tree["meshes"][0]["primitives"].append({"attributes": {"NORMAL": 0}})
+    assert len(parse(file.glb()).triangles) == 8
+    assert notes(file.glb()) == ("a primitive of mesh 0 has no positions; it was passed over",)
 
 
 def test_the_default_scene_is_read():
@@ -622,7 +627,7 @@ def test_hidden_nodes():
     hidden = {"KHR_node_visibility": {"visible": False}}
     file = placed([{"mesh": 0, "children": [1, 2]}, {"extensions": hidden, "children": [3]}, {"mesh": 0}, {"mesh": 0}])
     assert len(parse(file.glb()).triangles) == 16
-    assert notes(file.glb()) == ("1 nodes with a mesh are hidden and were left out",)
+    assert notes(file.glb()) == ("hidden nodes were left out: 1 with a mesh",)
 
 
 def test_nodes_must_form_a_tree():
@@ -661,7 +666,7 @@ def test_damaged_nodes(node, reason):
 def test_rotations_are_normalised():
     file = placed([{"mesh": 0, "rotation": [0, 0, 5, 5]}])
     np.testing.assert_allclose(parse(file.glb()).vertices, VERTICES @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], **CLOSE)
-    assert notes(file.glb()) == ("1 rotations are not unit quaternions; they were normalised",)
+    assert notes(file.glb()) == ("rotations that are not unit quaternions were normalised: 1",)
 
 
 def test_a_hundred_thousand_roots_and_a_chain_as_deep():
