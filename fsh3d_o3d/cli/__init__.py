@@ -20,6 +20,7 @@ from fsh3d_o3d._version import __version__
 from fsh3d_o3d.cli import align, cache, describe, evaluate, index, info, query, reconstruct
 from fsh3d_o3d.cli._console import error_line, say
 from fsh3d_o3d.cli._process import TerminatedError, open_standard_streams, terminable
+from fsh3d_o3d.errors import ConvergenceWarning, GeometryReadWarning, QuadratureWarning
 
 __all__ = ["main"]
 
@@ -51,6 +52,9 @@ def _run(arguments: Sequence[str] | None) -> int:
         return stop.code if isinstance(stop.code, int) else 2
     try:
         with terminable(), warnings.catch_warnings():
+            # Said once each to the person at the terminal, whatever filters Python was started with.
+            for category in (ConvergenceWarning, GeometryReadWarning, QuadratureWarning):
+                warnings.simplefilter("always", category)
             warnings.showwarning = lambda message, *_: say(f"fsh3d: warning: {error_line(message)}", error=True)
             code: int = options.run(options)
         sys.stdout.flush()

@@ -21,6 +21,10 @@ _FINE = 32  # degrees < this
 _MAXIMA = 60  # as many as the icosahedron has rotations
 _IDENTITY = np.radians(8.0)  # a maximum of the correlation with itself this near to no rotation is none
 _SAME = np.radians(4.0)  # axes nearer than this are one
+_CLOSE_BY = np.radians(2.0)  # where axes and planes are compared with others: half of what makes two of them one
+_NEIGHBOURS = 8  # that they are compared with
+_BETTER = 0.02  # of what a score misses of 1: what is close by is better by more, or the two are one but for sampling
+_ROUNDING = 1e-9  # of scores that are all 1, as across an axis of revolution
 _MOST_AXES = 160  # to look at
 _ANGLES = 720  # of an axis of revolution
 _ROUND = 0.005  # of the norm of a sphere depends on direction, at most
@@ -145,14 +149,20 @@ def _close(
     axes: list[SymmetryAxis] = []
     planes: list[SymmetryPlane] = []
     turns: list[Float64Array] = []
-    while queue and len(seen) < _MOST_AXES:
+    tried = 0
+    while queue and tried < _MOST_AXES:
         direction = queue.pop(0)
         if len(seen) and np.abs(seen @ direction).max() > np.cos(_SAME):
             continue
-        seen = np.concatenate((seen, direction[None]))
+        tried += 1
         order, score, mirror = _about(rows, b, direction, limit)
+        if order > 1 and not _is_peak(rows, b, direction, score, order):
+            order = 1
+        if mirror >= limit and not _is_peak(rows, b, direction, mirror, None):
+            mirror = -1.0
         if order == 1 and mirror < limit:
             continue
+        seen = np.concatenate((seen, direction[None]))
         own = direction.copy()
         own.setflags(write=False)
         # A symmetry takes axes of symmetry to others. What a mirror does to axes, a half turn about its normal does.
@@ -172,20 +182,44 @@ def _close(
 
 def _about(rows: Float64Array, b: int, direction: Float64Array, limit: float) -> tuple[int, float, float]:
     """The order of an axis (1 if there is no symmetry) with its score, and the score of the plane across."""
-    degree, order = degrees_and_orders(b)
-    energy = np.sum(rotate_coefficients(rows, _to_z(direction), threads=1) ** 2, axis=0)
-    mirror = float(np.sum(energy * (1 - 2 * ((degree + order) % 2))))
-    # A rotation about z by an angle multiplies what order m correlates with itself by cos(m · angle).
-    by_order = np.bincount(np.abs(order), energy, b)
-    every = float((np.cos(2 * np.pi / _ANGLES * np.outer(np.arange(_ANGLES), np.arange(b))) @ by_order).min())
+    by_order, mirror = _seen_along(rows, b, direction)
+    every = _turned(by_order, _ANGLES)
     if every >= limit:
         return 0, min(every, 1.0), min(mirror, 1.0)
     for n in range(b - 1, 1, -1):
-        score = float((np.cos(2 * np.pi / n * np.outer(np.arange(1, n), np.arange(b))) @ by_order).min())
+        score = _turned(by_order, n)
         # Other rotations about a nearly round axis pass too; those of its order do much better than the worst.
         if score >= limit and 1 - score <= (1 - every) / 2:
             return n, min(score, 1.0), min(mirror, 1.0)
     return 1, -1.0, min(mirror, 1.0)
+
+
+def _seen_along(rows: Float64Array, b: int, direction: Float64Array) -> tuple[Float64Array, float]:
+    """The energy (b,) of each |order| once an axis is turned to z, and the score of the plane across it."""
+    degree, order = degrees_and_orders(b)
+    energy = np.sum(rotate_coefficients(rows, _to_z(direction), threads=1) ** 2, axis=0)
+    mirror = float(np.sum(energy * (1 - 2 * ((degree + order) % 2))))
+    return np.bincount(np.abs(order), energy, b).astype(np.float64), mirror
+
+
+def _turned(by_order: Float64Array, n: int) -> float:
+    """The smallest correlation over rotations about z by multiples of 360°/n."""
+    # A rotation by an angle multiplies what order m correlates with itself by cos(m · angle).
+    return float((np.cos(2 * np.pi / n * np.outer(np.arange(1, n), np.arange(len(by_order)))) @ by_order).min())
+
+
+def _is_peak(rows: Float64Array, b: int, direction: Float64Array, score: float, order: int | None) -> bool:
+    """Whether no axis of this order close by, or no plane if None, is better.
+
+    Of a body that is nearly round about an axis every axis and plane is nearly one of symmetry; only the best ones are.
+    """
+    first = _across(direction)
+    angles = np.linspace(0, 2 * np.pi, _NEIGHBOURS, endpoint=False)[:, None]
+    tangents = np.cos(angles) * first + np.sin(angles) * np.cross(direction, first)
+    around = np.cos(_CLOSE_BY) * direction + np.sin(_CLOSE_BY) * tangents
+    found = [_seen_along(rows, b, other) for other in around]  # eight
+    best = max(mirror if order is None else _turned(by_order, order) for by_order, mirror in found)
+    return best <= score + _BETTER * (1 - score) + _ROUNDING
 
 
 def _across(direction: Float64Array) -> Float64Array:

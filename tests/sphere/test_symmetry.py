@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import fsh3d_o3d as fsh
 
@@ -66,6 +67,17 @@ for count in (2, 3, 4, 5, 6, 8):
         )
     )
     CASES.append((f"pyramid {count}", ring(count, (0.5,)), {count: 1}, count, False))
+
+
+@pytest.mark.parametrize("name", ["pyramid 8", "prism 8", "pyramid 6", "cube"])
+def test_planes_do_not_depend_on_the_pose(name: str) -> None:
+    """Across an axis of high order every plane is nearly one of symmetry; only the best ones are."""
+    function, axes, planes = next(case[1:4] for case in CASES if case[0] == name)
+    for seed in range(30, 42):
+        rotation = Rotation.random(random_state=seed).as_matrix()
+        report = fsh.find_symmetries(posed(function, rotation))
+        assert Counter(axis.order for axis in report.axes) == axes
+        assert len(report.planes) == planes
 
 
 @pytest.mark.parametrize(("name", "function", "axes", "planes", "centre"), CASES, ids=[case[0] for case in CASES])
