@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 
 import numpy as np
@@ -30,10 +31,15 @@ def binary_stl_size(data: bytes) -> int | None:
     return _HEADER_BYTES + _FACET.itemsize * int.from_bytes(data[80:84], "little")
 
 
-def fits_binary_stl(data: bytes) -> bool:
-    """Whether a binary header asks for no more bytes than there are; letters in its place ask for billions."""
+def has_binary_header(data: bytes) -> bool:
+    """Whether a binary header begins the data, although it may begin like a text in some encoding.
+
+    Letters in the place of the count would ask for billions of triangles, and there are no zeros in UTF-8.
+    """
     size = binary_stl_size(data)
-    return size is not None and size <= len(data)
+    if size is None:
+        return False
+    return size <= len(data) or (data.startswith(codecs.BOM_UTF8) and 0 in data[80:_HEADER_BYTES])
 
 
 def parse_stl(source: Source) -> MeshArrays:

@@ -25,7 +25,7 @@ from fsh3d_o3d.adapters._parse_off import parse_off
 from fsh3d_o3d.adapters._parse_pcd import parse_pcd
 from fsh3d_o3d.adapters._parse_ply import parse_ply
 from fsh3d_o3d.adapters._parse_points import parse_pts, parse_xyz, parse_xyzn, parse_xyzrgb
-from fsh3d_o3d.adapters._parse_stl import binary_stl_size, fits_binary_stl, parse_stl
+from fsh3d_o3d.adapters._parse_stl import binary_stl_size, has_binary_header, parse_stl
 from fsh3d_o3d.adapters._plain_text import check_not_a_pointer, plain_text
 from fsh3d_o3d.adapters._source import ReadFile, Source
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
@@ -120,7 +120,7 @@ def parse_content(path: str, data: bytes) -> ReadFile:
     try:
         check_not_a_pointer(data)
         # The header of a binary STL may begin with anything, also with the bytes of a byte-order mark.
-        if parser is not parse_glb and not (parser is parse_stl and fits_binary_stl(data)):
+        if parser is not parse_glb and not (parser is parse_stl and has_binary_header(data)):
             source.data = plain_text(source)
         with np.errstate(all="ignore"):  # what is not finite is an error, not a warning
             geometry = parser(source)
