@@ -7,7 +7,7 @@ search, so that a million directions are sorted in a few hundredths of a second.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, sqrt
+from math import asin, ceil, sqrt
 
 import ducc0
 import numpy as np
@@ -20,6 +20,8 @@ from fsh3d_o3d.sphere.grids import fibonacci_grid
 _PROBE_CELLS = 12 * 48**2
 _LOCAL_PROBES = 1024
 _CANDIDATES = 8
+_FAR = 8  # times the reach of the probes
+_SECTORS = 2048  # about a centre: what is behind in one is at most 1e-4 radians nearer than what is in front
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,17 +83,18 @@ def largest_empty_cap(directions: Float64Array) -> tuple[float, Float64Array]:
     first = np.empty(len(cells.count), dtype=np.int64)
     first[cells.index] = np.arange(len(directions))
     probes = fibonacci_grid(_PROBE_CELLS).directions
-    distance = _nearest(directions[first], probes, 2.0)
+    distance = np.asarray(KDTree(directions[first]).query(probes)[0])
     # One direction a cell stands for all; those it hides lie within a cell's diameter, hence several candidates.
     best = _separated(probes, distance, 3 / sqrt(cells.total))
     reach = 2.5 / sqrt(min(cells.total, _PROBE_CELLS)) + 2.5 / sqrt(_PROBE_CELLS)
     for _ in range(2):
-        local = np.concatenate([_around(center, reach) for center in best])
-        near = _nearest(directions, local, float(distance.max()) + 2 * reach)
-        distance = near
-        best = local[[int(near.argmax())]]
+        local = np.stack([_around(center, reach) for center in best])
+        distance = np.stack([_nearest(directions, around, reach) for around in local])
+        best = local.reshape(-1, 3)[[int(distance.argmax())]]
         reach /= 8
-    return float(2 * np.arcsin(min(1.0, distance.max() / 2))), best[0]
+    # By all directions, not by those that stood for others.
+    chord = float(np.sqrt(np.square(directions - best[0]).sum(axis=1).min()))
+    return 2 * asin(min(1.0, chord / 2)), best[0]
 
 
 def _separated(probes: Float64Array, distance: Float64Array, gap: float) -> Float64Array:
@@ -111,20 +114,33 @@ def _around(center: Float64Array, reach: float) -> Float64Array:
     step = np.arange(_LOCAL_PROBES)
     angle = step * np.pi * (3 - sqrt(5))
     radius = reach * np.sqrt(step / _LOCAL_PROBES)
-    helper = np.eye(3)[int(np.abs(center).argmin())]
-    u = np.cross(center, helper)
-    u /= np.linalg.norm(u)
-    v = np.cross(center, u)
+    u, v = _beside(center)
     ways = center + radius[:, None] * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v)
     return np.asarray(ways / np.linalg.norm(ways, axis=1, keepdims=True))
 
 
+def _beside(center: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Two unit vectors that stand at right angles to ``center`` and to each other."""
+    u = np.cross(center, np.eye(3)[int(np.abs(center).argmin())])
+    u /= np.linalg.norm(u)
+    return u, np.cross(center, u)
+
+
 def _nearest(directions: Float64Array, probes: Float64Array, reach: float) -> Float64Array:
-    """Chord from each probe to the nearest direction, of those that could be it."""
-    center = probes[:: max(1, len(probes) // _CANDIDATES)]
-    # A direction farther than this from every group of probes is nearest to none of them.
-    close = np.zeros(len(directions), dtype=np.bool_)
-    for one in center:
-        close |= directions @ one >= 1 - min(2.0, reach) ** 2 / 2
-    chosen = directions[close] if close.any() else directions
-    return np.asarray(KDTree(chosen).query(probes)[0])
+    """Chord from each probe, all within ``reach`` of the first, to the nearest direction."""
+    center = probes[0]
+    along = directions @ center
+    nearest = sqrt(max(0.0, 2 - 2 * float(along.max())))
+    close = along >= 1 - min(2.0, nearest + 2.1 * reach) ** 2 / 2  # farther ones are nearest to no probe
+    chosen, along = directions[close], along[close]
+    if nearest < _FAR * reach:
+        return np.asarray(KDTree(chosen).query(probes)[0])
+    # Very many may be equally far, as those of a flat cloud are from its axis, and a search would look at each of them.
+    # Seen from far off, what lies nearest to the centre in a narrow sector is nearer to any probe than the rest.
+    u, v = _beside(center)
+    sector = ((np.arctan2(chosen @ v, chosen @ u) / (2 * np.pi) + 0.5) * _SECTORS).astype(np.int64) % _SECTORS
+    front = np.full(_SECTORS, -1)
+    order = np.argsort(along, kind="stable")
+    front[sector[order]] = order  # the last one written is the nearest
+    cosine = (probes @ chosen[front[front >= 0]].T).max(axis=1)
+    return np.asarray(np.sqrt(np.maximum(0.0, 2 - 2 * cosine)))

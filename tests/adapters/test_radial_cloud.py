@@ -303,6 +303,22 @@ def test_the_largest_empty_cap_is_that_of_the_convex_hull(seed):
     assert np.arccos((points @ center).max()) == pytest.approx(radius, abs=1e-7)
 
 
+@pytest.mark.parametrize("edge", [0.0, 0.4, -0.6, -0.9])
+def test_the_largest_empty_cap_of_one_sided_clouds(edge, random_rotation):
+    """As many directions are equally far from its centre as there are on the edge, and it may be larger than half."""
+    angle = np.linspace(0, 2 * np.pi, 20_000, endpoint=False)
+    heights = np.linspace(-1, edge, 12)[1:, None] if edge else np.zeros((1, 1))  # a flat cloud is all edge
+    across = np.sqrt(1 - heights**2)
+    points = np.stack(np.broadcast_arrays(across * np.cos(angle), across * np.sin(angle), heights), axis=-1)
+    directions = points.reshape(-1, 3) @ random_rotation.T
+    radius, center = largest_empty_cap(directions)
+    truth = np.arccos(edge)
+    assert truth - 0.001 < radius <= truth + 1e-9
+    assert np.arccos((directions @ center).max()) == pytest.approx(radius, abs=1e-7)
+    if edge:
+        assert center @ random_rotation[:, 2] > np.cos(0.001)
+
+
 def test_cells_take_medians_and_sums_like_loops_do():
     rng = np.random.default_rng(16)
     directions, values = random_directions(rng, 2000), rng.normal(size=2000)
