@@ -154,7 +154,7 @@ def examine(index: str, before: frozenset[str] = frozenset()) -> Content:
     problems: list[str] = []
     store = found._store
     names = {
-        name: Counter(map(os.fsdecode, store.columns(table, ["path"])["path"].to_pylist()))
+        name: Counter(map(store.roots().path, store.columns(table, ["path"])["path"].to_pylist()))
         for name, table in (("models", store.models), ("failures", store.failures))
     }
     for name, paths in names.items():

@@ -9,6 +9,7 @@ from typing import Any
 from fsh3d_o3d.cli._console import print_json, say
 from fsh3d_o3d.cli._passed_over import in_brackets, passed_over
 from fsh3d_o3d.cli.describe import SHD_OPTIONS
+from fsh3d_o3d.retrieval._index_roots import real_folder
 from fsh3d_o3d.retrieval.extraction import FailedInput
 from fsh3d_o3d.retrieval.library_files import scan_library
 from fsh3d_o3d.retrieval.shape_index import ShapeIndex
@@ -29,6 +30,8 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--address", metavar="A", help="Ray cluster (default: one started on this machine)")
     parser.add_argument("--timeout", type=float, default=300.0, metavar="S", help="seconds a file may take (300)")
     parser.add_argument("--prune", action="store_true", help="remove models whose files are gone from LIBRARY")
+    parser.add_argument("--moved-from", metavar="OLD", help="where LIBRARY was before, if its content does not tell")
+    parser.add_argument("--remove", action="store_true", help="forget LIBRARY (also a file) instead, there or not")
     parser.add_argument("--retry-failed", action="store_true", help="try again what failed before")
     parser.add_argument("--option", choices=tuple(SHD_OPTIONS), help="descriptor of a new index (default: best)")
     parser.add_argument("--no-thumbnails", action="store_true", help="draw no pictures")
@@ -40,7 +43,9 @@ def add_parser(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Index what is new: 0 if nothing failed, 1 if something did."""
     start = time.perf_counter()
-    scan = scan_library(options.library, leave_out=options.index)
+    if options.remove:
+        return _remove(options)
+    scan = scan_library(real_folder(options.library), leave_out=options.index)
     for folder in scan.not_listed:
         _print_failed(folder)
     if not scan.files:
@@ -56,9 +61,11 @@ def run(options: argparse.Namespace) -> int:
         progress=not options.quiet,
         engine=options.engine,
         address=options.address,
+        library=options.library,
+        moved_from=options.moved_from,
     )
     kept: list[FailedInput] = []
-    removed = index.prune(options.library, on_kept=kept.append) if options.prune else 0
+    removed = update.gone + (index.prune(options.library, on_kept=kept.append) if options.prune else 0)
     known = {folder.path for folder in scan.not_listed}
     failed = [*update.failed, *(folder for folder in kept if folder.path not in known)]
     for one in failed:
@@ -75,14 +82,42 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         failures = [{"path": one.path, "reason": one.reason} for one in failed]
         others = dict(scan.other_formats.most_common())
+        moves = [{"old": move.old, "new": move.new} for move in update.libraries]
         passed = {"other_formats": others, "links": scan.links}
-        print_json({"index": options.index, **figures, "failed": failures, **passed, "seconds": seconds})
+        print_json(
+            {
+                "index": options.index,
+                **figures,
+                "failed": failures,
+                "libraries_moved": moves,
+                **passed,
+                "seconds": seconds,
+            }
+        )
     else:
         rest = ", ".join(f"{count} {name}" for name, count in list(figures.items())[1:])
         say(f"{options.index}: {figures['models']} models ({rest}, {len(failed)} failed), {seconds:.1f} s")
+        for move in update.libraries:
+            say(f"{move.old} is now {move.new}: its models moved along")
         for line in passed_over(scan):
             say(line)
     return 1 if failed else 0
+
+
+def _remove(options: argparse.Namespace) -> int:
+    start = time.perf_counter()
+    if options.prune or options.moved_from:
+        raise ValueError("--remove forgets all of LIBRARY: give neither --prune nor --moved-from with it")
+    index = ShapeIndex.open(options.index)
+    removed = index.remove([options.library])
+    if not removed:
+        raise ValueError(f"{options.library}: the index {options.index} holds no models of it")
+    models, seconds = len(index), time.perf_counter() - start
+    if options.json:
+        print_json({"index": options.index, "models": models, "removed": removed, "seconds": seconds})
+    else:
+        say(f"{options.index}: {models} models ({removed} removed), {seconds:.1f} s")
+    return 0
 
 
 def _print_failed(one: FailedInput) -> None:

@@ -28,7 +28,7 @@ def model_schema(option: SHDOption, version: int) -> Any:
     pa = import_installed("pyarrow")
 
     fields = [
-        pa.field("path", pa.binary(), nullable=False, metadata=_KEY),  # the file's, absolute, whatever its bytes
+        pa.field("path", pa.binary(), nullable=False, metadata=_KEY),  # the file's, as LibraryRoots has it
         pa.field("content", pa.binary(32)),  # SHA-256
         pa.field("identity", pa.binary()),  # content, and how it is read
         pa.field("size", pa.int64()),
@@ -54,6 +54,18 @@ def failure_schema() -> Any:
         pa.field("size", pa.int64()),
         pa.field("mtime", pa.int64()),
         pa.field("reason", pa.string()),
+        pa.field(CHECKSUM, pa.uint32()),
+    ]
+    return pa.schema(fields)
+
+
+def root_schema() -> Any:
+    """Return the columns of ``roots``, one row a library."""
+    pa = import_installed("pyarrow")
+
+    fields = [
+        pa.field("path", pa.binary(), nullable=False, metadata=_KEY),  # what the paths of its files begin with
+        pa.field("location", pa.binary()),  # the folder, absolute
         pa.field(CHECKSUM, pa.uint32()),
     ]
     return pa.schema(fields)

@@ -26,7 +26,8 @@ from fsh3d_o3d.retrieval._index_checksums import CHECKSUM, FOLDER, FileChecksums
 from fsh3d_o3d.retrieval._index_columns import is_one_of
 from fsh3d_o3d.retrieval._index_durability import DiskSync
 from fsh3d_o3d.retrieval._index_errors import ShapeIndexError, translated
-from fsh3d_o3d.retrieval._index_schema import basis_table, failure_schema, model_schema, read_basis
+from fsh3d_o3d.retrieval._index_roots import LibraryRoots
+from fsh3d_o3d.retrieval._index_schema import basis_table, failure_schema, model_schema, read_basis, root_schema
 from fsh3d_o3d.retrieval._index_version import TableVersion
 from fsh3d_o3d.retrieval._sketch_basis import sketch_basis
 
@@ -37,7 +38,7 @@ FORMAT = 3
 _ATTEMPTS = 20  # to write while others do
 _PATHS_A_QUERY = 500
 _READINGS = 4  # of versions that others remove while they are read; one that was replaced just now is seldom removed
-_TABLES = {"failures.lance", "basis.lance", "models.lance", FOLDER}
+_TABLES = {"basis.lance", "failures.lance", "roots.lance", "models.lance", FOLDER}
 _CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 _KEPT_SECONDS = 3600  # for which a version stays readable
 _WASTE = 1.5  # times the rows there are: then versions before are removed
@@ -48,13 +49,17 @@ _SMALL_FRAGMENTS = 48  # that are put together; fewer do no harm
 class IndexStore:
     """The tables of one index, opened. What it returns are Arrow tables and NumPy arrays."""
 
-    def __init__(self, path: str, database: Any, models: Any, failures: Any, basis: NDArray[np.float16]) -> None:
+    def __init__(
+        self, path: str, database: Any, models: Any, failures: Any, roots: Any, basis: NDArray[np.float16]
+    ) -> None:
         self.path = path
         """Where it is."""
         self.models = models
         """Lance's table of what was described, to write to; it is read by ``latest``."""
         self.failures = failures
         """Lance's table of what was not, to write to."""
+        self._roots = roots
+        self._placed: tuple[TableVersion, LibraryRoots] | None = None
         self.basis = basis
         """(d, SKETCH_LENGTH): what sketches are made with."""
         self.metadata = {key.decode(): value.decode() for key, value in (models.schema.metadata or {}).items()}
@@ -94,9 +99,10 @@ class IndexStore:
                 # Models last: where they are, there is all.
                 database.create_table("basis", basis_table(sketch_basis(option)), exist_ok=True)
                 database.create_table("failures", schema=failure_schema(), exist_ok=True)
+                database.create_table("roots", schema=root_schema(), exist_ok=True)
                 database.create_table("models", schema=model_schema(option, FORMAT), exist_ok=True)
             files = FileChecksums(path)
-            for name in () if is_uri(path) else ("basis", "failures", "models"):
+            for name in () if is_uri(path) else ("basis", "failures", "roots", "models"):
                 newest = files.newest(name)
                 if newest is not None and there:
                     files.require(name, newest)
@@ -117,14 +123,30 @@ class IndexStore:
                 )
             if store_format != str(FORMAT):
                 raise ShapeIndexError(f"{path}: this folder is no index of fsh3d_o3d")
-            return cls(
-                path, database, models, database.open_table("failures"), read_basis(path, database.open_table("basis"))
-            )
+            failures, roots = database.open_table("failures"), database.open_table("roots")
+            return cls(path, database, models, failures, roots, read_basis(path, database.open_table("basis")))
+
+    def roots(self) -> LibraryRoots:
+        """Return where the libraries lie now."""
+        return self.reading(self._read_roots, "roots")
+
+    def _read_roots(self, version: TableVersion) -> LibraryRoots:
+        placed = self._placed
+        if placed is None or placed[0] is not version:
+            found = version.checked().to_pydict()
+            locations = dict(zip(found["path"], map(os.fsdecode, found["location"]), strict=True))
+            placed = self._placed = (version, LibraryRoots(self.path, locations))
+        return placed[1]
+
+    def place_library(self, own: bytes, folder: str) -> None:
+        """Put down where a library lies; ``own`` is what the paths in its rows begin with."""
+        self.put(self._roots, {"path": [own], "location": [os.fsencode(folder)]})
 
     def refresh(self) -> int:
         """See what others have written meanwhile; returns the version of the models."""
         with self._writing, translated(self.path, "reading it"):
             self.failures.checkout_latest()
+            self._roots.checkout_latest()
             self.models.checkout_latest()
             return int(self.models.version)
 

@@ -17,7 +17,7 @@ from fsh3d_o3d.adapters._object_storage import absolute, is_uri, list_objects, o
 from fsh3d_o3d.adapters.reading import READABLE_FORMATS
 from fsh3d_o3d.retrieval.extraction import FailedInput
 
-_ABSENT = (errno.ENOENT, errno.ENOTDIR)
+ABSENT = (errno.ENOENT, errno.ENOTDIR)
 """What the system says of a name that leads to nothing. All else, a denied access or a dead disk, is no absence."""
 _LONGEST_EXTENSION = 12  # characters; what is longer is a part of a name with a full stop in it
 
@@ -117,7 +117,7 @@ def missing_files(paths: Sequence[str]) -> tuple[set[str], dict[str, str]]:
         try:
             os.lstat(path)
         except OSError as error:
-            if error.errno in _ABSENT:
+            if error.errno in ABSENT:
                 missing.add(path)
             else:
                 unknown[path] = error.strerror or str(error)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import warnings
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -21,14 +20,15 @@ from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.retrieval._index_errors import ShapeIndexError
 from fsh3d_o3d.retrieval._index_extraction import DescribeFile, Thumbnailer, describe, similarity
 from fsh3d_o3d.retrieval._index_filling import Filling, IndexUpdate
+from fsh3d_o3d.retrieval._index_pruning import prune, remove
 from fsh3d_o3d.retrieval._index_results import Hit, NearDuplicate
+from fsh3d_o3d.retrieval._index_roots import real_files, real_folder
 from fsh3d_o3d.retrieval._index_rows import Query
 from fsh3d_o3d.retrieval._index_search import Candidates, IndexSearch
 from fsh3d_o3d.retrieval._index_store import IndexStore
 from fsh3d_o3d.retrieval._index_version import TableVersion
 from fsh3d_o3d.retrieval._ray_tasks import run_tasks_on_ray
 from fsh3d_o3d.retrieval.extraction import FailedInput
-from fsh3d_o3d.retrieval.library_files import missing_files, require_place
 from fsh3d_o3d.retrieval.reranking import aligned_distances, mixed_distances
 
 __all__ = ["Hit", "IndexUpdate", "NearDuplicate", "ShapeIndex", "ShapeIndexError"]
@@ -106,13 +106,16 @@ class ShapeIndex:
         progress: bool = False,
         engine: Engine = "local",
         address: str | None = None,
+        library: str | os.PathLike[str] | None = None,
+        moved_from: str | os.PathLike[str] | None = None,
     ) -> IndexUpdate:
         """Put files in, or put them in anew where they have changed.
 
-        A file of known size and time of change is not read; one of known content is not described again. Each of the
-        others is read and described in a worker process, at its own risk: what kills the process, takes too long or
-        changes meanwhile is listed, kept in mind, and not tried again until it changes. Rows are written every few
-        seconds, so a kill costs no more than that. As always with processes, a script that calls this does so below
+        A file of known size and time of change is not read; one of known content is not described again. A model whose
+        file is gone while its content is there under another name is removed: it was renamed. Each of the others is
+        read and described in a worker process, at its own risk: what kills the process, takes too long or changes
+        meanwhile is listed, kept in mind, and not tried again until it changes. Rows are written every few seconds, so
+        a kill costs no more than that. As always with processes, a script that calls this does so below
         ``if __name__ == "__main__":``.
 
         Args:
@@ -128,8 +131,13 @@ class ShapeIndex:
                 the local engine. Needs the extra ``ray``.
             address: Of the Ray cluster, as ``ray.init`` takes it; None: one of ``workers`` processors is started on
                 this machine.
+            library: A folder that the files are below. The index keeps their names relative to it, and recognises it
+                by its content when it is gone and given under another name.
+            moved_from: Where the library was before, or a folder that several were in, so that it need not be
+                recognised.
 
         Raises:
+            ValueError: There was no library where ``moved_from`` says.
             ModuleNotFoundError: Ray is asked for and not installed.
             ConnectionError: There is no Ray at the address.
             OSError: The index cannot be written: read-only, or the disk is full. It then is as after the last write.
@@ -142,7 +150,9 @@ class ShapeIndex:
         cores = len(os.sched_getaffinity(0)) if workers is None else workers
         number = check.integer(cores, "workers", minimum=1, maximum=1024)
         limit = check.integer(memory_limit, "memory_limit", minimum=2**20)
-        names = list(dict.fromkeys(absolute(path) for path in paths))
+        if moved_from is not None and library is None:
+            raise ValueError("moved_from says where a library was: give library with it")
+        names = list(dict.fromkeys(real_files(paths)))
         update = Filling(self._store, self._option).run(
             names,
             DescribeFile(self._option, thumbnail=thumbnail, memory_limit=limit),
@@ -150,9 +160,11 @@ class ShapeIndex:
             timeout=check.number(timeout, "timeout", minimum=0, exclusive=True),
             retry_failed=retry_failed,
             progress=progress,
+            library=None if library is None else real_folder(library),
+            moved_from=() if moved_from is None else {absolute(moved_from), real_folder(moved_from)},
             run_elsewhere=functools.partial(run_tasks_on_ray, address=address) if engine == "ray" else None,
         )
-        if update.added or update.moved:
+        if update.added or update.moved or update.gone:
             self._search.index(moved=self._store.tidy())
         return update
 
@@ -165,35 +177,32 @@ class ShapeIndex:
         that fails) is kept.
 
         Args:
-            folder: Only those below it. It must be there: a disk that is not mounted is no reason to forget a library.
-            on_kept: Called with each folder whose files were kept because it is not known whether they are there. None:
-                they are warned of.
+            folder: Only those below it. It must be there, unless it is a library of the index: one that is gone, or
+                empty as where a disk is not mounted, is forgotten where it is named, and kept where it is not.
+            on_kept: Called with each folder whose files were kept though they were not seen. None: they are warned of.
 
         Raises:
             OSError: The folder, or its bucket, is not there, a storage does not answer, or the index cannot be written.
         """
-        inside = ""
-        if folder is not None:
-            inside = os.path.join(absolute(folder), "")  # noqa: PTH118 - keeps bytes that are not UTF-8
-            require_place(inside)
-        self._store.refresh()
-        removed = 0
-        for table in (self._store.models, self._store.failures):
-            paths = map(os.fsdecode, self._store.columns(table, ["path"])["path"].to_pylist())
-            gone, unknown = missing_files([path for path in paths if path.startswith(inside)])
-            if gone:
-                self._store.remove(table, sorted(map(os.fsencode, gone)))
-            if table is self._store.models:
-                removed = len(gone)
-                for kept in _by_folder(unknown):
-                    (on_kept or _warn_of)(kept)
-        return removed
+        return prune(self._store, folder, on_kept or _warn_of)
+
+    def remove(self, paths: Iterable[str | os.PathLike[str]]) -> int:
+        """Forget files, whether they are there or not; returns how many models that were.
+
+        Args:
+            paths: Files, and folders for all that is below them.
+
+        Raises:
+            OSError: The index cannot be written.
+        """
+        return remove(self._store, [paths] if isinstance(paths, (str, os.PathLike)) else paths)
 
     def failures(self) -> tuple[FailedInput, ...]:
         """Return the files that could not be described, and why."""
         table = self._store.reading(lambda failures: failures.checked(), "failures").to_pydict()
         pairs = sorted(zip(table["path"], table["reason"], strict=True))
-        return tuple(FailedInput(os.fsdecode(path), reason) for path, reason in pairs)
+        roots = self._store.roots()
+        return tuple(FailedInput(roots.path(stored), reason) for stored, reason in pairs)
 
     def query(self, geometry_or_path: Any, top: int = 10, rerank: int = 100) -> tuple[Hit, ...]:
         """Return the models most like a shape, best first; the shape itself among them if it is in the index.
@@ -231,10 +240,11 @@ class ShapeIndex:
         pairs = list(self._search.close_pairs(models, limit))
         rows = sorted({row for one, other, _ in pairs for row in (one, other)})
         path: dict[int, str] = {}
+        roots = self._store.roots()
         for start in range(0, len(rows), _ROWS_AT_ONCE):
             part = rows[start : start + _ROWS_AT_ONCE]
             names = models.checked_rows(part)["path"].to_pylist()
-            path |= {row: os.fsdecode(name) for row, name in zip(part, names, strict=True)}
+            path |= {row: roots.path(name) for row, name in zip(part, names, strict=True)}
         found = [
             NearDuplicate(min(path[one], path[other]), max(path[one], path[other]), distance)
             for one, other, distance in pairs
@@ -264,6 +274,7 @@ class ShapeIndex:
         if rows["signature"].to_pylist() != [numbers.tobytes() for numbers in candidates.stored.numbers[order]]:
             raise ShapeIndexError(f"{models.path}: the index is damaged: rows are not where they should be")
         table = rows.select(_HIT_COLUMNS).to_pydict()
+        roots = self._store.roots()
         frames = candidates.stored.frames
         hits = []
         for place, index in enumerate(order):
@@ -273,7 +284,7 @@ class ShapeIndex:
                 array.setflags(write=False)
             hits.append(
                 Hit(
-                    path=os.fsdecode(table["path"][place]),
+                    path=roots.path(table["path"][place]),
                     distance=float(distances[index]),
                     rank=place + 1,
                     rotation=turn,
@@ -286,12 +297,6 @@ class ShapeIndex:
                 )
             )
         return tuple(hits)
-
-
-def _by_folder(unknown: Mapping[str, str]) -> list[FailedInput]:
-    """One for each folder with files of which it is not known whether they are there, and reason for that."""
-    counts = Counter((os.path.dirname(path), reason) for path, reason in unknown.items())  # noqa: PTH120 - any bytes
-    return [FailedInput(folder, f"{reason}, so {n} models in it are kept") for (folder, reason), n in counts.items()]
 
 
 def _warn_of(kept: FailedInput) -> None:

@@ -106,8 +106,8 @@ def test_changed_renamed_touched_and_removed_files(tmp_path):
     os.utime(paths[2], (1, 1))
     update = index.add_files([paths[0], renamed, paths[2], paths[3]], workers=1)
     assert (update.added, update.moved, update.unchanged, update.failed) == (1, 2, 1, ())
-    assert len(index) == 5  # the old name is still there
-    assert index.prune(tmp_path / "library") == 1
+    assert (update.gone, len(index)) == (1, 4)  # the old name went with the file
+    assert index.prune(tmp_path / "library") == 0
     hits = {hit.path: hit for hit in index.query(blob(1), top=10, rerank=0)}
     assert set(hits) == {paths[0], renamed, paths[2], paths[3]}
     assert hits[renamed].distance == min(hit.distance for hit in hits.values()) < 1e-6
