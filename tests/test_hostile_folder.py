@@ -23,6 +23,7 @@ NAMES = (
     "lancedb",
     "pyarrow",
     "skimage",
+    "DracoPy",
     "pickle",
     "multiprocessing",
     "ray",
@@ -39,7 +40,7 @@ from tests.retrieval.toys import ToyDescriptor
 sys.path[:] = before
 if __name__ == "__main__":
     assert len(read_geometry_arrays("box.off").vertices) == 8
-    for name in ("pyarrow.fs", "lancedb", "skimage.measure", "plotly.offline"):
+    for name in ("pyarrow.fs", "lancedb", "skimage.measure", "plotly.offline", "DracoPy"):
         import_installed(name)
     assert len(extract_descriptors(["box.off"], ToyDescriptor(), workers=1, cache=False).indices) == 1
     assert sys.path == before
