@@ -62,7 +62,7 @@ _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("GZIP", re.compile(rb"\x1f\x8b")),
     ("HTML", re.compile(rb"\s*<(!doctype html|html)", re.IGNORECASE)),
     ("PCD", re.compile(rb"# \.PCD|VERSION[ \t]+\.?\d|FIELDS[ \t]+x")),
-    ("OFF", re.compile(rb"\s*(ST)?C?N?4?n?OFF[\s\d]")),
+    ("OFF", re.compile(rb"\s*(?:ST|[CN4n])*OFF[\s\d]")),
     ("GLTF", re.compile(rb'\s*\{(?s:.){0,2000}"(asset|accessors|meshes)"')),
     ("STL", re.compile(rb"\s*solid\b(?s:.){0,400}\bfacet\b", re.IGNORECASE)),
     (
