@@ -17,7 +17,7 @@ _KNOWN = np.append(np.unique(_FACET), np.array([b"solid", b"endsolid"], dtype="S
 _EMPTY = "the file holds 0 triangles"
 _COMMENT = re.compile(rb"^[ \t]*(?:#|;|//|%)[^\r\n]*", re.MULTILINE)
 _END_APART = re.compile(rb"\bend[ \t]+(?=(?:loop|facet|solid)\b)")
-_KEYWORD_INSIDE = re.compile(rb"[ \t]+(?=(?:facet|outer|vertex|endloop|endfacet|endsolid|solid)\b)")
+_KEYWORD_INSIDE = re.compile(rb"(?<=[ \t])(?=(?:facet|outer|vertex|endloop|endfacet|endsolid|solid)\b)")
 
 
 def text_stl_corners(source: Source) -> tuple[Float64Array, bool]:

@@ -21,6 +21,7 @@ _WIDE = (
     (codecs.BOM_UTF16_BE, "utf-16-be", 2, 1),
 )  # mark, name, bytes of a character, place of the byte that ASCII uses
 _LOOKED_AT = 2048  # bytes; more than the header of a binary STL, which may begin with anything
+_MOSTLY = 0.5  # share of ASCII; a comment may be in any language
 _LEAST = 16  # bytes without a mark that can be told to be text
 
 
@@ -44,13 +45,16 @@ def plain_text(source: Source) -> bytes:
     for mark, encoding, width, place in _WIDE:
         marked = data.startswith(mark)
         body = data[len(mark) :] if marked else data
-        if (marked or len(data) >= _LEAST) and _is_wide_ascii(body[:_LOOKED_AT], width, place):
+        # Without a mark, what comes first has to be ASCII as well: the header of a binary format is not wide.
+        if not marked and not (len(data) >= _LEAST and _is_wide_ascii(body[:_LEAST], width, place, least=1.0)):
+            continue
+        if _is_wide_ascii(body[:_LOOKED_AT], width, place, least=_MOSTLY):
             return _decoded(source, body, encoding, marked=marked)
     return data
 
 
-def _is_wide_ascii(head: bytes, width: int, place: int) -> bool:
-    """Whether characters of ``width`` bytes are text, mostly ASCII.
+def _is_wide_ascii(head: bytes, width: int, place: int, *, least: float) -> bool:
+    """Whether characters of ``width`` bytes are text, and ``least`` is ASCII among it.
 
     A binary file may begin with the bytes of a mark, but not go on with a letter and zeros in turn.
     """
@@ -59,7 +63,7 @@ def _is_wide_ascii(head: bytes, width: int, place: int) -> bool:
     high = np.delete(units, place, axis=1)
     letters = ((low >= 32) | ((low >= 9) & (low <= 13))) & ~high.any(axis=1)
     empty = ~units.any(axis=1)
-    return len(units) > 0 and bool(letters.mean() > 0.5) and not empty.any()
+    return len(units) > 0 and bool(letters.mean() >= least) and not empty.any()
 
 
 def _decoded(source: Source, body: bytes, encoding: str, *, marked: bool) -> bytes:

@@ -50,11 +50,10 @@ def text_columns(source: Source) -> TextColumns:
     """
     text = source.data
     names, in_comment, start = _heading(source, text)
-    text = _without_separators(source, text[start:] if start else text)
-    text = without_comments(text)
+    text = without_comments(text[start:] if start else text)
     if b"//" in text:
         text = _SLASHED.sub(b"", text)
-    return TextColumns(TextLines.of(text), names, in_comment)
+    return TextColumns(TextLines.of(_without_separators(source, text)), names, in_comment)
 
 
 def _heading(source: Source, text: bytes) -> tuple[tuple[str, ...] | None, bool, int]:

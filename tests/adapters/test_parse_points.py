@@ -39,6 +39,7 @@ def read(data: str, name: str = "a.xyz") -> tuple[PointArrays, str]:
         (PLAIN.replace(" ", ",").replace("\n", ",\n"), "numbers are separated by commas"),
         (PLAIN.replace(" ", ";").replace("\n", "\r\n"), "numbers are separated by semicolons"),
         (PLAIN.replace(" ", ";").replace(".", ","), "numbers have decimal commas, with semicolons"),
+        ("# a,,b; c\n" + PLAIN.replace(" ", ",").replace("\n", " # x,, y;\n"), "numbers are separated by commas"),
         (PLAIN.replace(" ", "\t"), ""),
         (PLAIN.replace("\n", "\r"), ""),
         ('"x";"y";"z"\n' + PLAIN.replace(" ", ";"), "first line names: x y z; numbers are separated by semicolons"),

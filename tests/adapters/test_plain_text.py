@@ -65,6 +65,15 @@ def test_binary_stl_whose_header_begins_like_a_mark(mark, header):
         np.testing.assert_array_equal(found, expected)
 
 
+def test_binary_numbers_are_not_taken_for_wide_letters():
+    points = np.arange(33, 93, dtype="<u2").reshape(-1, 3)
+    points = np.tile(points, (50, 1))
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
+    head += "".join(f"property ushort {axis}\n" for axis in "xyz") + "end_header\n"
+    head = head.replace("1.0\n", "1.0\ncomment\n" if len(head) % 2 else "1.0\n")
+    np.testing.assert_array_equal(read("a.ply", head.encode() + points.tobytes())[0], points)
+
+
 def test_latin_1_in_comments_and_names():
     name = "Größe".encode("latin-1")
     for file, word in (("colored.off", b"by hand"), ("plain.obj", b"octahedron"), ("text.ply", b"octahedron")):
