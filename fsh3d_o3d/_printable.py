@@ -11,9 +11,22 @@ _HIDDEN = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 _SURROGATE = re.compile("[\ud800-\udfff]")
 
 
+# User and password of an address; the password of storage may hold slashes.
+_CREDENTIALS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*:/{1,2})[^\s/@:]*:[^\s@]*@")
+
+
+def without_credentials(text: str) -> str:
+    """Return a text with user and password left out of the addresses in it."""
+    return _CREDENTIALS.sub(r"\1…@", text)
+
+
 def printable(text: object) -> str:
-    r"""Return a text with what is hidden in it escaped, such as ``\x1b``, and bytes that are not UTF-8 as ``\xff``."""
-    return "".join(_escaped(c) if unicodedata.category(c) in _HIDDEN else c for c in encodable(str(text)))
+    r"""Return a text with what is hidden in it escaped, such as ``\x1b``, and bytes that are not UTF-8 as ``\xff``.
+
+    Passwords in addresses are left out.
+    """
+    shown = encodable(without_credentials(str(text)))
+    return "".join(_escaped(c) if unicodedata.category(c) in _HIDDEN else c for c in shown)
 
 
 def encodable(text: str) -> str:

@@ -11,25 +11,39 @@ import contextlib
 import errno
 import functools
 import os
+import queue
 import re
+import threading
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from datetime import timedelta
 from typing import Any
 from urllib.parse import urlsplit
 
 from fsh3d_o3d._imports import import_installed
+from fsh3d_o3d._printable import without_credentials
 
 _URI = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)
 SCHEMES = ("s3", "gs", "abfss")
 """That both PyArrow, for files, and Lance, for an index, know under this name."""
+# User and password before the place, whose own name holds neither : nor @ (but an Azure container stands before an @);
+# or a signature, token or key behind it.
+_SECRET = re.compile(
+    r"((?:s3|gs|abfss):/{1,2}|[A-Za-z][A-Za-z0-9+.-]*://)"
+    r"([^/@:?]*:[^@]*@|(?<=s3://)[^/]*[@:]|(?<=gs://)[^/]*[@:]|"
+    r"[^?]*\?(?:[^?]*&)?[^=&?]*(sig|signature|secret|token|password|access_?key|account_?key|credential)[^=&]*=)",
+    re.IGNORECASE | re.DOTALL,
+)
 _CONNECT_SECONDS = 10.0
+_ANSWER_SECONDS = 30.0  # for the first answer of a storage whose own client may try for minutes
 _LISTED_FROM = 4  # files of one folder: one list of it instead of so many questions
 # In messages of the AWS library behind PyArrow, and of the one behind Lance.
 _NO_BUCKET = re.compile(r"NO_SUCH_BUCKET|NoSuchBucket")
 _DENIED = re.compile(
     r"ACCESS_DENIED|INVALID_ACCESS_KEY|SIGNATURE_DOES_NOT_MATCH|AccessDenied|Forbidden|HTTP status 40[13]"
 )
+_NO_CREDENTIALS = re.compile(r"OAuth2 access token|DefaultAzureCredential|AuthenticationException")
 _UNREACHABLE = re.compile(
     r"NETWORK_CONNECTION|[Cc]ould not (connect|resolve)|error sending request|HttpError|timed? ?out|ConnectError"
 )
@@ -61,6 +75,7 @@ def absolute(path: str | os.PathLike[str]) -> str:
         ValueError: It is of a kind of storage that is not known, or no longer its name.
     """
     name = os.fsdecode(path)
+    require_no_credentials(name)
     found = _URI.fullmatch(name)
     if found is None:
         if isinstance(path, os.PathLike) and name.startswith(tuple(f"{scheme}:/" for scheme in SCHEMES)):
@@ -72,6 +87,20 @@ def absolute(path: str | os.PathLike[str]) -> str:
     if not rest or rest.startswith("/"):
         raise ValueError(f"{name}: the name of a bucket is missing after {scheme}://")
     return f"{scheme}://{rest}"
+
+
+def require_no_credentials(name: str) -> None:
+    """Refuse a name that holds a password or the like, which lists, tables and messages would show on.
+
+    Raises:
+        ValueError: It does; the message does not repeat it.
+    """
+    found = _SECRET.search(name)
+    if found is not None:
+        raise ValueError(
+            f"a name of storage ({found.group(1).lower()}…) holds credentials: leave them out, and give them in "
+            "environment variables such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
+        )
 
 
 def object_content(uri: str) -> bytes:
@@ -165,6 +194,8 @@ def storage_error(uri: str, message: str) -> OSError | None:
         return FileNotFoundError(errno.ENOENT, "No such bucket", uri)
     if _DENIED.search(message):
         return PermissionError(errno.EACCES, "the storage denies access", uri)
+    if _NO_CREDENTIALS.search(message):
+        return PermissionError(errno.EACCES, "the environment holds no credentials for the storage", uri)
     if _UNREACHABLE.search(message):
         return ConnectionError(errno.EHOSTUNREACH, "the storage cannot be reached", uri)
     return None
@@ -178,7 +209,43 @@ def _located(uri: str) -> tuple[Any, str]:
     fs = import_installed("pyarrow.fs")
 
     with _storage_errors(uri):
-        return fs.FileSystem.from_uri(uri)  # type: ignore[no-any-return]
+        if scheme == "gs":
+            files = fs.GcsFileSystem(retry_time_limit=timedelta(seconds=_CONNECT_SECONDS))
+        else:
+            files, path = fs.FileSystem.from_uri(uri)
+        bucket = path.partition("/")[0]
+        if (scheme, bucket) not in _answered:
+            # For a file, there or not: asked for a bucket without credentials, Azure's client ends the process.
+            _within(_ANSWER_SECONDS, lambda: files.get_file_info(f"{bucket}/-"))
+            _answered.add((scheme, bucket))
+    return files, path
+
+
+_answered: set[tuple[str, str]] = set()
+
+
+def _within(seconds: float, call: Callable[[], object]) -> None:
+    """Call in a thread that is left behind if it takes too long: the clients of some storages have no limit of time.
+
+    Raises:
+        TimeoutError: It did.
+    """
+    outcome: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
+
+    def run() -> None:
+        try:
+            call()
+            outcome.put(None)
+        except BaseException as error:
+            outcome.put(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    try:
+        error = outcome.get(timeout=seconds)
+    except queue.Empty:
+        raise TimeoutError(errno.ETIMEDOUT, "the storage timed out") from None
+    if error is not None:
+        raise error
 
 
 @functools.lru_cache(maxsize=4)
@@ -196,7 +263,7 @@ def _s3(endpoint: str | None, region: str | None) -> Any:
 def _endpoint() -> str | None:
     endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or None
     if endpoint is not None and urlsplit(endpoint).scheme not in ("http", "https"):
-        raise ValueError(f"AWS_ENDPOINT_URL must begin with http:// or https://, got {endpoint!r}")
+        raise ValueError(f"AWS_ENDPOINT_URL must begin with http:// or https://, got {without_credentials(endpoint)!r}")
     return endpoint
 
 
@@ -226,6 +293,6 @@ def _storage_errors(uri: str) -> Iterator[None]:
         yield
     except FileNotFoundError:
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), uri) from None
-    except (OSError, ValueError) as error:
-        text = " ".join(str(error).split())
+    except Exception as error:  # its clients raise of all kinds
+        text = without_credentials(" ".join(str(error).split()))
         raise (storage_error(uri, text) or OSError(errno.EIO, text[:300], uri)) from None

@@ -17,6 +17,7 @@ from typing import NoReturn
 from fsh3d_o3d._imports import only_installed
 from fsh3d_o3d._printable import printable
 from fsh3d_o3d._version import __version__
+from fsh3d_o3d.adapters._object_storage import require_no_credentials
 from fsh3d_o3d.cli import align, cache, describe, evaluate, index, info, query, reconstruct
 from fsh3d_o3d.cli._console import error_line, say
 from fsh3d_o3d.cli._process import TerminatedError, open_standard_streams, terminable
@@ -46,6 +47,12 @@ def _run(arguments: Sequence[str] | None) -> int:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for module in (reconstruct, describe, align, evaluate, index, query, info, cache):
         module.add_parser(commands)
+    try:
+        for argument in sys.argv[1:] if arguments is None else arguments:
+            require_no_credentials(argument)  # before anything is repeated in a message
+    except ValueError as error:
+        say(f"fsh3d: error: {error}", error=True)
+        return 2
     try:
         options = parser.parse_args(arguments)
     except SystemExit as stop:  # argparse has printed the help (0) or its message (2)

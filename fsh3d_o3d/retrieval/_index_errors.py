@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Iterator
 
+from fsh3d_o3d._printable import without_credentials
 from fsh3d_o3d.adapters._object_storage import is_uri, storage_error
 
 # What Lance and Arrow raise for data they cannot make sense of; Arrow's own errors are of these, too.
@@ -37,7 +38,7 @@ def translated(path: str, doing: str) -> Iterator[None]:
             raise
         if not (isinstance(error, _OF_LANCE) or type(error).__name__ in _PANICS):
             raise
-        text = " ".join(str(error).split())
+        text = without_credentials(" ".join(str(error).split()))
         code = _OS_ERROR.search(text)
         if code is not None and int(code.group(1)) != 2:  # a missing file is damage
             number = int(code.group(1))
