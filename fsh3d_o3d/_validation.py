@@ -19,8 +19,29 @@ _DEFAULT_MEMORY_LIMIT = 16 * 2**30
 _NEGLIGIBLE_MEMORY = 2**26  # asking what is free takes longer than some transforms
 
 
+def unmasked(value: object, name: str) -> Any:
+    """Return ``value``, a masked array without masked values as the array it is.
+
+    Raises:
+        ValueError: Some are masked: NumPy's functions would take the numbers under the mask for values.
+    """
+    if isinstance(value, np.ma.MaskedArray):
+        masked = int(np.count_nonzero(np.ma.getmaskarray(value)))
+        if masked:
+            raise ValueError(
+                f"{name} must not be masked, but {masked} of {value.size} values are: give them values with "
+                ".filled(…), or leave them out, of a single axis with .compressed()"
+            )
+        return value.data
+    if isinstance(value, (list, tuple)):
+        for part in value:
+            unmasked(part, name)
+    return value
+
+
 def integer(value: object, name: str, *, minimum: int, maximum: int | None = None) -> int:
     """Return ``value`` as an int within [minimum, maximum]; bools and floats are refused."""
+    value = unmasked(value, name)
     if isinstance(value, (bool, np.bool_)):
         raise TypeError(f"{name} must be an integer, got {value!r}")
     try:
@@ -42,6 +63,7 @@ def number(
     value: object, name: str, *, minimum: float = -np.inf, maximum: float = np.inf, exclusive: bool = False
 ) -> float:
     """Return ``value`` as a finite float within the bounds (``exclusive`` leaves the minimum out)."""
+    value = unmasked(value, name)
     try:
         result = float(cast(Any, value))
     except (TypeError, ValueError):
@@ -64,7 +86,7 @@ def choice(value: object, name: str, choices: tuple[str, ...]) -> str:
 
 def real_array(value: object, name: str, *, finite: bool = True) -> FloatArray:
     """Return ``value`` as a float32 or float64 array; everything else real becomes float64."""
-    array = np.asarray(value)
+    array = np.asarray(unmasked(value, name))
     if array.dtype.kind not in "fiub":
         raise TypeError(f"{name} must be an array of real numbers, got dtype {array.dtype}")
     if array.dtype not in (np.float32, np.float64):

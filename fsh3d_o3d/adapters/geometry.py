@@ -31,7 +31,7 @@ class MeshArrays:
 
     def __post_init__(self) -> None:
         vertices = _points(self.vertices, "mesh vertices")
-        triangles = np.array(self.triangles, dtype=np.int64, order="C")
+        triangles = np.array(check.unmasked(self.triangles, "mesh triangles"), dtype=np.int64, order="C")
         if triangles.ndim != 2 or triangles.shape[1] != 3:
             raise GeometryError(f"mesh triangles must have shape (t, 3), got {triangles.shape}")
         if len(triangles) == 0:
@@ -70,7 +70,7 @@ class PointArrays:
             value = getattr(self, name)
             if value is None:
                 continue
-            array = np.array(value, dtype=np.float64, order="C")
+            array = np.array(check.unmasked(value, name), dtype=np.float64, order="C")
             if array.shape != self.points.shape:
                 raise GeometryError(f"{name} must have shape {self.points.shape} like the points, got {array.shape}")
             array.setflags(write=False)
@@ -203,7 +203,7 @@ def open3d_point_cloud(cloud: PointArrays, kind: GeometryKind = "legacy") -> Any
 
 
 def _points(value: Any, name: str) -> Float64Array:
-    array = np.array(value, dtype=np.float64, order="C")
+    array = np.array(check.unmasked(value, name), dtype=np.float64, order="C")
     if array.ndim != 2 or array.shape[1] != 3:
         raise GeometryError(f"{name} must have shape (n, 3), got {array.shape}")
     if len(array) == 0:

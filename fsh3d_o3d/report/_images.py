@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from fsh3d_o3d import _validation as check
+
 _SMALLEST = 13  # pixels of a caption's letters
 _GAP = 12  # pixels between pictures and around captions
 _TEXT_COLOR = (40, 40, 40)
@@ -72,7 +74,7 @@ def _fitted(text: str, font: Any, width: int) -> str:
 
 
 def _checked(image: Any, name: str) -> NDArray[np.uint8]:
-    array = np.asarray(image)
+    array = np.asarray(check.unmasked(image, name))
     if array.dtype != np.uint8:
         raise TypeError(f"{name} must be uint8, got {array.dtype}")
     if array.ndim != 3 or array.shape[2] not in (3, 4) or 0 in array.shape:

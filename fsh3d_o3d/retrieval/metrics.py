@@ -142,7 +142,7 @@ def _named(row: Float64Array) -> dict[str, Any]:
 
 def _classes(labels: object, count: int) -> tuple[NDArray[Any], IntArray]:
     """The distinct labels in order, and each model's position among them."""
-    array = np.asarray(labels)
+    array = np.asarray(check.unmasked(labels, "labels"))
     if array.shape != (count,):
         raise ValueError(f"labels must have shape (N,) = ({count},), one for each row of distances, got {array.shape}")
     if array.dtype.kind not in "iuU":

@@ -54,7 +54,7 @@ def from_complex(coefficients: object, convention: Convention = "condon_shortley
             largest).
     """
     check.choice(convention, "convention", ("condon_shortley", "paper"))
-    values = np.asarray(coefficients)
+    values = np.asarray(check.unmasked(coefficients, "coefficients"))
     if values.dtype.kind not in "fiuc":
         raise TypeError(f"coefficients must be numbers, got dtype {values.dtype}")
     values = values.astype(np.complex64 if values.dtype == np.complex64 else np.complex128)
@@ -86,7 +86,7 @@ def from_packed(packed: object) -> FloatArray:
     Raises:
         ValueError: The last axis is not b(b+1)/2 for any b, or values are not finite.
     """
-    values = np.asarray(packed)
+    values = np.asarray(check.unmasked(packed, "packed coefficients"))
     size = values.shape[-1] if values.ndim else 0
     b = int((np.sqrt(8 * size + 1) - 1) / 2 + 0.5)
     if size == 0 or b * (b + 1) // 2 != size:

@@ -47,7 +47,7 @@ class SphericalGrid:
     def __post_init__(self) -> None:
         n = len(self.directions)
         for name, shape in (("directions", (n, 3)), ("colatitude", (n,)), ("longitude", (n,))):
-            array = getattr(self, name)
+            array = check.unmasked(getattr(self, name), name)
             if array.shape != shape or n == 0:
                 raise ValueError(f"{name} must have shape {shape} with n >= 1, got {array.shape}")
             if array.flags.writeable:  # the caller's own: left writeable, and copied
