@@ -8,11 +8,16 @@ from fsh3d_o3d.retrieval.library_files import LibraryScan
 _NAMED = 10  # extensions; all are in the JSON
 
 
+def other_formats(scan: LibraryScan) -> dict[str, int]:
+    """Return how many files there are of each extension that is not read, most frequent first."""
+    return dict(sorted(scan.other_formats.items(), key=lambda kind: (-kind[1], kind[0])))
+
+
 def passed_over(scan: LibraryScan) -> list[str]:
     """Return what was passed over, a line each: files of other formats by extension, most frequent first, and links."""
     lines = []
     if scan.other_formats:
-        kinds = scan.other_formats.most_common()
+        kinds = list(other_formats(scan).items())
         named = [f"{printable(extension) or 'no extension'} {count}" for extension, count in kinds[:_NAMED]]
         if len(kinds) > _NAMED:
             rest = sum(count for _, count in kinds[_NAMED:])

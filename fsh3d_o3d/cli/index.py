@@ -7,7 +7,7 @@ import time
 from typing import Any
 
 from fsh3d_o3d.cli._console import print_json, say
-from fsh3d_o3d.cli._passed_over import in_brackets, passed_over
+from fsh3d_o3d.cli._passed_over import in_brackets, other_formats, passed_over
 from fsh3d_o3d.cli.describe import SHD_OPTIONS
 from fsh3d_o3d.retrieval._index_roots import real_folder
 from fsh3d_o3d.retrieval.extraction import FailedInput
@@ -81,9 +81,8 @@ def run(options: argparse.Namespace) -> int:
     }
     if options.json:
         failures = [{"path": one.path, "reason": one.reason} for one in failed]
-        others = dict(scan.other_formats.most_common())
         moves = [{"old": move.old, "new": move.new} for move in update.libraries]
-        passed = {"other_formats": others, "links": scan.links}
+        passed = {"other_formats": other_formats(scan), "links": scan.links}
         print_json(
             {
                 "index": options.index,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import os
 from typing import Any
 
@@ -14,7 +15,11 @@ from fsh3d_o3d.adapters.radial_mesh import ACCEPTED_DIRECTIONS, HIDDEN_AREA
 from fsh3d_o3d.adapters.reading import read_geometry_file
 from fsh3d_o3d.adapters.star import StarReport, star_center
 from fsh3d_o3d.cli._console import Progress, add_output_options, print_json, say
+from fsh3d_o3d.cli._targets import checked_targets
+from fsh3d_o3d.cli.describe import SHD_OPTIONS
 from fsh3d_o3d.errors import GeometryError
+from fsh3d_o3d.retrieval.library_files import is_folder
+from fsh3d_o3d.retrieval.shape_index import ShapeIndex
 
 _COARSE_BANDWIDTH = 8
 
@@ -24,15 +29,21 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "info",
         help="say what a file holds and which method fits it",
-        description="Say what a file holds: size, topology, how star-shaped it is, and which method fits it and why.",
+        description="Say what a file holds: size, topology, how star-shaped it is, and which method fits it and why; "
+        "or how many models an index holds, and of which libraries.",
     )
-    parser.add_argument("file", help="mesh or point cloud")
+    parser.add_argument("file", help="mesh, point cloud, or index of a library")
+    parser.add_argument("--export", metavar="OUT", help="write the features of an index to .npz or .parquet")
     add_output_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Print the description."""
+    if is_folder(options.file):
+        return _run_index(options)
+    if options.export:
+        raise ValueError(f"--export writes the features of an index, and {options.file} is none")
     with Progress(2, not options.quiet) as progress:
         progress.step("reading")
         found = read_geometry_file(options.file)
@@ -47,6 +58,31 @@ def run(options: argparse.Namespace) -> int:
             say(f"  {name.replace('_', ' '):<{width}}  {_shown(value)}")
         for note in found.notes:
             say(f"  {'note':<{width}}  {note}")
+    return 0
+
+
+def _run_index(options: argparse.Namespace) -> int:
+    if options.export:
+        checked_targets({"--export": (options.export, (".npz", ".parquet"))}, {"the index": options.file})
+    index = ShapeIndex.open(options.file)
+    about = dataclasses.asdict(index.summary())
+    names = {make().fingerprint: name for name, make in SHD_OPTIONS.items()}
+    facts = {"kind": "index", "option": names[index.option.fingerprint], **about}
+    if options.export:
+        facts["exported"] = index.export_features(options.export)
+    if options.json:
+        print_json({"index": options.file, **facts})
+        return 0
+    libraries = facts.pop("libraries")
+    searchable, models = facts.pop("searchable"), facts["models"]
+    facts["search"] = f"{searchable} of {models} models in an inverted file" if searchable else "compares every model"
+    facts["size"] = f"{facts.pop('bytes_on_disk') / 10**6:.1f} MB"
+    width = max(map(len, facts))
+    say(options.file)
+    for name, value in facts.items():
+        say(f"  {name.replace('_', ' '):<{width}}  {_shown(value)}")
+    for folder, count in libraries.items():
+        say(f"  {'library':<{width}}  {folder}: {count} models")
     return 0
 
 

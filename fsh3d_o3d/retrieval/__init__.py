@@ -11,7 +11,15 @@ from fsh3d_o3d.retrieval.metrics import (
     RetrievalScores,
     retrieval_metrics,
 )
-from fsh3d_o3d.retrieval.shape_index import Hit, IndexUpdate, NearDuplicate, ShapeIndex, ShapeIndexError
+from fsh3d_o3d.retrieval.shape_index import (
+    Hit,
+    IndexedModel,
+    IndexSummary,
+    IndexUpdate,
+    NearDuplicate,
+    ShapeIndex,
+    ShapeIndexError,
+)
 
 __all__ = [
     # metrics
@@ -34,7 +42,9 @@ __all__ = [
     "read_classification",
     # index
     "Hit",
+    "IndexSummary",
     "IndexUpdate",
+    "IndexedModel",
     "NearDuplicate",
     "ShapeIndex",
     "ShapeIndexError",

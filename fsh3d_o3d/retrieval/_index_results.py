@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from fsh3d_o3d._validation import Float64Array
 
-__all__ = ["Hit", "NearDuplicate"]
+__all__ = ["Hit", "IndexSummary", "IndexedModel", "NearDuplicate"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,3 +45,41 @@ class NearDuplicate:
     """The other."""
     distance: float
     """Of their features."""
+
+
+@dataclass(frozen=True)
+class IndexedModel:
+    """What an index knows of a file, apart from its shape."""
+
+    path: str
+    """The file, absolute."""
+    size: int
+    """Bytes."""
+    changed: int
+    """Time of the file's last change when it was indexed, in nanoseconds since 1970."""
+    vertices: int
+    """Vertices of the mesh, or points of the cloud."""
+    triangles: int
+    """Triangles; 0 for a cloud."""
+    watertight: bool
+    """Whether every edge belongs to exactly two triangles once equal vertices are one."""
+
+
+@dataclass(frozen=True)
+class IndexSummary:
+    """What an index is."""
+
+    format: int
+    """Version of its tables."""
+    models: int
+    """Files that can be found."""
+    failures: int
+    """Files that could not be described."""
+    libraries: dict[str, int]
+    """Folders that were indexed as libraries, and how many models each has."""
+    single_files: int
+    """Models of files that belong to none of these."""
+    searchable: int
+    """Models in the structure by which a large index is searched; 0: a query is compared with every model."""
+    bytes_on_disk: int
+    """Of all its files, those of versions before included."""

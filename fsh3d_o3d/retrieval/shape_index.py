@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -18,20 +18,30 @@ from fsh3d_o3d.adapters.geometry import geometry_arrays
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.retrieval._index_errors import ShapeIndexError
+from fsh3d_o3d.retrieval._index_export import export_features
 from fsh3d_o3d.retrieval._index_extraction import DescribeFile, Thumbnailer, describe, similarity
 from fsh3d_o3d.retrieval._index_filling import Filling, IndexUpdate
 from fsh3d_o3d.retrieval._index_pruning import prune, remove
-from fsh3d_o3d.retrieval._index_results import Hit, NearDuplicate
-from fsh3d_o3d.retrieval._index_roots import real_files, real_folder
+from fsh3d_o3d.retrieval._index_results import Hit, IndexedModel, IndexSummary, NearDuplicate
+from fsh3d_o3d.retrieval._index_roots import real_file, real_files, real_folder
 from fsh3d_o3d.retrieval._index_rows import Query
 from fsh3d_o3d.retrieval._index_search import Candidates, IndexSearch
 from fsh3d_o3d.retrieval._index_store import IndexStore
+from fsh3d_o3d.retrieval._index_summary import summary
 from fsh3d_o3d.retrieval._index_version import TableVersion
 from fsh3d_o3d.retrieval._ray_tasks import run_tasks_on_ray
 from fsh3d_o3d.retrieval.extraction import FailedInput
 from fsh3d_o3d.retrieval.reranking import aligned_distances, mixed_distances
 
-__all__ = ["Hit", "IndexUpdate", "NearDuplicate", "ShapeIndex", "ShapeIndexError"]
+__all__ = [
+    "Hit",
+    "IndexSummary",
+    "IndexUpdate",
+    "IndexedModel",
+    "NearDuplicate",
+    "ShapeIndex",
+    "ShapeIndexError",
+]
 
 Engine = Literal["local", "ray"]
 
@@ -93,6 +103,58 @@ class ShapeIndex:
 
     def __len__(self) -> int:
         return self._store.latest().count
+
+    def __contains__(self, path: object) -> bool:
+        if not isinstance(path, (str, os.PathLike)):
+            return False
+        wanted = self._store.roots().all_stored(real_file(path))
+        return bool(self._store.where("path", wanted, ["path"]).num_rows)
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the paths of all models in order.
+
+        >>> sorted(index) == list(index)  # doctest: +SKIP
+        True
+        """
+        return (model.path for model in self.models())
+
+    def models(self) -> Iterator[IndexedModel]:
+        """Yield what is known of each model, in the order of their paths.
+
+        >>> large = [model.path for model in index.models() if model.triangles > 10**6]  # doctest: +SKIP
+        """
+        names = ["path", "size", "mtime", "vertices", "triangles", "watertight"]
+        columns = self._store.reading(lambda models: models.columns(names)).to_pydict()
+        roots = self._store.roots()
+        paths = [roots.path(stored) for stored in columns["path"]]
+        for row in sorted(range(len(paths)), key=paths.__getitem__):
+            yield IndexedModel(paths[row], *(columns[name][row] for name in names[1:]))
+
+    def summary(self) -> IndexSummary:
+        """Return how many models there are, of which libraries, and what the index takes."""
+        return summary(self._store)
+
+    def export_features(self, target: str | os.PathLike[str]) -> int:
+        """Write the features of all models to a file for other programs; returns how many that were.
+
+        ``.npz``: ``features`` (n, d) float32 and ``paths`` (n,), bytes of UTF-8, with ``shape``, ``metric`` and
+        ``fingerprint`` of the option; no pickle. ``.parquet``: columns ``path`` and ``feature``. In both, bytes of a
+        name that are not UTF-8 are escaped. The file is complete or not there.
+
+        >>> index.export_features("features.npz")  # doctest: +SKIP
+        907
+        >>> np.load("features.npz")["features"].shape  # doctest: +SKIP
+        (907, 3600)
+
+        Raises:
+            ValueError: The name ends in something else.
+            OSError: The file cannot be written.
+            ShapeIndexError: The index is damaged.
+        """
+        name = os.fsdecode(target)
+        if not name.lower().endswith((".npz", ".parquet")):
+            raise ValueError(f"features are written to .npz or .parquet, got {name!r}")
+        return self._store.reading(lambda models: export_features(models, self._store.roots(), self._option, name))
 
     def add_files(
         self,

@@ -150,7 +150,7 @@ def test_files_of_other_formats_are_named(tmp_path, capsys):
     for number in range(12):
         (tmp_path / "library" / f"x.e{number}").touch()
     assert run(*common) == 0
-    assert capsys.readouterr().out.splitlines()[1].endswith(", .e3 1, .e4 1, and 5 of 5 further extensions")
+    assert capsys.readouterr().out.splitlines()[1].endswith(", .e4 1, .e5 1, and 5 of 5 further extensions")
 
 
 @pytest.mark.parametrize("command", ["index", "query"])
