@@ -18,9 +18,10 @@ from tests.adapters import mutations
 from tests.adapters.dialects import NO_READER, Dialect
 from tests.adapters.dialects_clouds import cloud_dialects
 from tests.adapters.dialects_gltf import gltf_dialects
+from tests.adapters.dialects_polygons import polygon_dialects
 from tests.adapters.dialects_stl import stl_dialects
 
-DIALECTS = [*stl_dialects(), *cloud_dialects(), *gltf_dialects()]
+DIALECTS = [*stl_dialects(), *cloud_dialects(), *gltf_dialects(), *polygon_dialects()]
 LEAST = 200
 _MISSING_READERS = {".pcd", ".pts", ".xyzn", ".xyzrgb"}
 _BOX = (6.0, 22.0)  # volume and area of 1 x 2 x 3
