@@ -71,7 +71,8 @@ class GltfDocument:
         # In glTF 1 the collections are objects with names, not lists.
         if "asset" not in self.tree and any(isinstance(self.tree.get(kind), dict) for kind in ("nodes", "meshes")):
             stated = "1.0"
-        if re.match(r"\d+", str(stated)) and int(str(stated).partition(".")[0][:9]) != _VERSION:
+        major = re.match(r"\d{1,9}", str(stated))
+        if major and int(major[0]) != _VERSION:
             raise GeometryReadError(f"glTF version {str(stated)[:20]} is not read, only {_VERSION}")
 
 

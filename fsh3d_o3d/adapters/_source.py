@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.errors import GeometryReadError
 
-# A plain name: no folder, no drive, no scheme, nothing hidden in percent signs.
-_PLAIN_NAME = re.compile(r"[^/\\:%\x00-\x1f\x7f]+")
+# A plain name: no folder, no drive, no scheme, nothing hidden in percent signs; file systems allow 255 bytes.
+_PLAIN_NAME = re.compile(r"[^/\\:%\x00-\x1f\x7f]{1,255}")
 
 
 def _nothing_beside(name: str) -> bytes:

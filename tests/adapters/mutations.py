@@ -62,10 +62,13 @@ def valid_files() -> dict[str, SampleFile]:
     return {file.name: file for file in files}
 
 
-def mutated_files(count: int, *, seed: int = 0) -> Iterator[SampleFile]:
-    """Yield ``count`` damaged files, every format and every kind of damage in turn; some may still be readable."""
+def mutated_files(count: int, *, seed: int = 0, files: list[SampleFile] | None = None) -> Iterator[SampleFile]:
+    """Yield ``count`` damaged files, every format and every kind of damage in turn; some may still be readable.
+
+    They are made from ``files``, by default the valid ones of this module.
+    """
     rng = random.Random(seed)
-    files = list(valid_files().values())
+    files = list(valid_files().values()) if files is None else files
     for number in range(count):
         file = files[number % len(files)]
         damage = DAMAGES[(number // len(files)) % len(DAMAGES)]

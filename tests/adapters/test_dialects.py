@@ -20,6 +20,7 @@ from tests.adapters.dialects_clouds import cloud_dialects
 from tests.adapters.dialects_gltf import gltf_dialects
 from tests.adapters.dialects_polygons import polygon_dialects
 from tests.adapters.dialects_stl import stl_dialects
+from tests.adapters.test_reader_fuzz import check as check_damaged
 
 DIALECTS = [*stl_dialects(), *cloud_dialects(), *gltf_dialects(), *polygon_dialects()]
 LEAST = 200
@@ -123,6 +124,18 @@ def test_what_is_cut_off_is_refused_or_cannot_show():
 
     found = failures(check)
     assert not found, found
+
+
+def test_damaged_dialects_are_read_or_refused(tmp_path):
+    """Each with each kind of damage."""
+    files = [mutations.SampleFile(dialect.name, dialect.data) for dialect in DIALECTS]
+    outcomes = []
+    for file in mutations.mutated_files(len(files) * len(mutations.DAMAGES), files=files):
+        path = tmp_path / file.name
+        path.write_bytes(file.data)
+        outcomes.append(check_damaged(path, isolated=False))
+        path.unlink()
+    assert {*outcomes} == {"read", "refused"}
 
 
 def test_trimesh_agrees_or_the_table_says_why_not(folder):

@@ -171,6 +171,7 @@ def test_versions():
     refuse('{"asset": {"version": "1.0"}, "nodes": {}, "meshes": {}}', r"version 1\.0 is not read, only 2", "/a.gltf")
     refuse('{"nodes": {"n": {}}, "meshes": {}}', r"version 1\.0 is not read, only 2", "/a.gltf")
     refuse(placed([{"mesh": 0}], asset={"version": "3.0"}).glb(), r"version 3\.0 is not read")
+    refuse(placed([{"mesh": 0}], asset={"version": "1e9.0"}).glb(), r"version 1e9\.0 is not read")
     refuse(b"glTF" + struct.pack("<II", 1, 20) + bytes(8), "version 1 is not read, only 2")
     assert len(parse(placed([{"mesh": 0}], asset={"version": "2.1"}).glb()).triangles) == 8
 
@@ -427,6 +428,7 @@ def test_buffer_beside_the_file_that_is_missing_or_no_file(isolated, write, tmp_
         "C:model.bin",
         "a%00.bin",
         "",
+        "a" * 300 + ".bin",
         "././model.bin",
         ".//etc/passwd",
     ],
