@@ -18,15 +18,16 @@ from collections.abc import Iterator
 from types import ModuleType
 
 
-def _working_folder() -> str | None:
+def working_folder() -> str | None:
+    """Return the working folder, links resolved; None where it was removed."""
     try:
         return os.path.realpath(os.getcwd())  # noqa: PTH109 - pathlib would raise as well
-    except OSError:  # it was removed
+    except OSError:
         return None
 
 
 # ``python -m`` and an empty entry of PYTHONPATH put it on the path by its name, which stays there when folders change.
-_STARTED_IN = _working_folder()
+_STARTED_IN = working_folder()
 _PACKAGE = os.path.realpath(os.path.dirname(os.path.dirname(__file__)))  # noqa: PTH120 - any bytes
 # Working in one of these is no reason to do without it. The package's own is a checkout's, for those who work on it.
 _INSTALLED = {
@@ -43,7 +44,7 @@ _lock = threading.RLock()
 
 def installed_path() -> list[str]:
     """Return ``sys.path`` without the working folder, that of the start, and entries relative to any."""
-    untrusted = {_working_folder(), _STARTED_IN} - _INSTALLED
+    untrusted = {working_folder(), _STARTED_IN} - _INSTALLED
     kept = [entry for entry in sys.path if isinstance(entry, str) and os.path.isabs(entry)]  # noqa: PTH117
     return [entry for entry in kept if os.path.realpath(entry) not in untrusted]
 

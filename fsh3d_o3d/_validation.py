@@ -15,6 +15,8 @@ Float64Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 MAXIMUM_BANDWIDTH = 4096
+_LONGEST_SECONDS = 1e7  # four months; timers take some hundred years
+_LARGEST_MEMORY_LIMIT = 2**60  # bytes, an exbibyte; limits take 2⁶³, to which what is in use already is added
 _DEFAULT_MEMORY_LIMIT = 16 * 2**30
 _NEGLIGIBLE_MEMORY = 2**26  # asking what is free takes longer than some transforms
 
@@ -75,6 +77,16 @@ def number(
         upper = "" if maximum == np.inf else f" and <= {maximum:g}"
         raise ValueError(f"{name} must be {sign} {minimum:g}{upper}, got {result:g}")
     return result
+
+
+def seconds(value: object, name: str) -> float:
+    """Return a limit of time: positive, and no more than the clocks and timers of the system take."""
+    return number(value, name, minimum=0, maximum=_LONGEST_SECONDS, exclusive=True)
+
+
+def memory_limit(value: object, name: str) -> int:
+    """Return a limit of memory in bytes: at least 1 MiB, and no more than the system can be told."""
+    return integer(value, name, minimum=2**20, maximum=_LARGEST_MEMORY_LIMIT)
 
 
 def choice(value: object, name: str, choices: tuple[str, ...]) -> str:

@@ -24,6 +24,7 @@ MODULES = [layer.removesuffix(".py") for layer in LAYERS]
 BESIDE = {
     "_validation",
     "_atomic",
+    "_cache_folder",
     "_imports",
     "_npz",
     "_printable",

@@ -10,6 +10,8 @@ import sys
 import weakref
 from collections.abc import Mapping, Sequence
 
+from fsh3d_o3d._imports import working_folder
+
 # The kernel kills the process as soon as nobody holds the other end of its lifeline any more, however its parent ended
 # and whatever it does at that moment: a thread that waits for that would need the interpreter, which native code may
 # hold. (The signal for a parent's death, PR_SET_PDEATHSIG, comes when the thread ends that started the process.)
@@ -86,6 +88,7 @@ class ChildProcess(subprocess.Popen[bytes]):
                 bufsize=0,
                 env={**os.environ, **environment},
                 start_new_session=True,
+                cwd="/" if working_folder() is None else None,  # some libraries do not bear one that was removed
                 pass_fds=(theirs,) if descriptor is None else (theirs, descriptor),
             )
         except BaseException:

@@ -80,7 +80,10 @@ def absolute(path: str | os.PathLike[str]) -> str:
     if found is None:
         if isinstance(path, os.PathLike) and name.startswith(tuple(f"{scheme}:/" for scheme in SCHEMES)):
             raise ValueError(f"{name}: give the name as text, because pathlib has taken away a slash")
-        return os.path.abspath(name)  # noqa: PTH100 - pathlib has nothing for names that are not UTF-8
+        try:
+            return os.path.abspath(name)  # noqa: PTH100 - pathlib has nothing for names that are not UTF-8
+        except FileNotFoundError:
+            raise FileNotFoundError(errno.ENOENT, "The working folder is gone: give a full name", name) from None
     scheme, rest = found.group(1).lower(), found.group(2).rstrip("/")
     if scheme not in SCHEMES:
         raise ValueError(f"{name}: {scheme}:// is not supported; {', '.join(f'{one}://' for one in SCHEMES)} are")

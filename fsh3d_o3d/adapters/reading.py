@@ -12,8 +12,8 @@ import os
 import warnings
 from typing import Any
 
+from fsh3d_o3d import _validation as check
 from fsh3d_o3d._printable import printable
-from fsh3d_o3d._validation import integer, number
 from fsh3d_o3d.adapters._object_storage import absolute
 from fsh3d_o3d.adapters._parsers import PARSERS, parser_for, read_file
 from fsh3d_o3d.adapters._reader_process import ReaderProcess
@@ -73,8 +73,8 @@ def read_geometry_file(
 ) -> ReadFile:
     """Read like ``read_geometry_arrays``, but return what is to be said of the file instead of warning."""
     name = absolute(path)
-    timeout = number(timeout, "timeout", minimum=0, exclusive=True)
-    memory_limit = integer(memory_limit, "memory_limit", minimum=2**20)
+    timeout = check.seconds(timeout, "timeout")
+    memory_limit = check.memory_limit(memory_limit, "memory_limit")
     parser_for(name)
     if not isolated:
         return read_file(name)

@@ -15,6 +15,7 @@ from fsh3d_o3d import _validation as check
 from fsh3d_o3d._printable import encodable, printable
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.cli._console import Progress, error_line, print_json, say
+from fsh3d_o3d.cli._targets import checked_targets
 from fsh3d_o3d.descriptors import SHDOption, shd_descriptor
 from fsh3d_o3d.shapes.storage import write_arrays
 
@@ -52,7 +53,8 @@ def add_parser(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Carry out the command: 0 if all files were described, 1 if some were, 2 if none."""
     option = _option(options)
-    _check_target(options)
+    inputs = {f"input {number}": path for number, path in enumerate(options.inputs, start=1)}
+    checked_targets({"the output": (options.output, (".npz",))}, inputs)
     paths, features, failed = [], [], []
     with Progress(len(options.inputs), not options.quiet) as progress:
         for path in options.inputs:
@@ -89,19 +91,6 @@ def _option(options: argparse.Namespace) -> SHDOption:
     if "bandwidth" in own:
         check.bandwidth(own["bandwidth"], "--bandwidth")
     return dataclasses.replace(SHD_OPTIONS[options.option](), **own)
-
-
-def _check_target(options: argparse.Namespace) -> None:
-    """Refuse an output that cannot be written, or that is one of the inputs, before the work."""
-    target = Path(options.output)
-    if target.suffix.lower() != ".npz":
-        raise ValueError(f"the output must end in .npz, got {options.output!r}")
-    if not target.parent.is_dir():
-        raise ValueError(f"there is no folder {str(target.parent)!r}")
-    if target.is_dir():
-        raise ValueError(f"{options.output!r} is a folder")
-    if os.path.realpath(options.output) in {os.path.realpath(path) for path in options.inputs}:
-        raise ValueError(f"the output {options.output!r} is one of the inputs")
 
 
 def _named(path: str, reason: str) -> str:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 from dataclasses import astuple, replace
-from pathlib import Path
 from typing import Any
 
 from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.cli._console import say
+from fsh3d_o3d.cli._targets import checked_targets
 from fsh3d_o3d.cli.describe import SHD_OPTIONS
 from fsh3d_o3d.descriptors import CPSHDOption
 from fsh3d_o3d.retrieval.classification import read_classification
@@ -67,7 +67,10 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Evaluate, print the table, write what was asked for."""
-    _check_targets(options)
+    checked_targets(
+        {"--json": (options.json, ()), "--plot": (options.plot, (".png",))},
+        {"the classification": options.classification},
+    )
     descriptor, name = _descriptor(options)
     classification = read_classification(options.classification)
     evaluation = evaluate_models(
@@ -112,15 +115,6 @@ def _descriptor(options: argparse.Namespace) -> tuple[Descriptor, str]:
     again = "" if options.rerank is None else f", {options.rerank} re-ranked"
     name = f"shd ({chosen}, {options.grid}{again})"
     return SHDDescriptor(on_equiangular_grid(shd) if equiangular else shd, rerank=options.rerank), name
-
-
-def _check_targets(options: argparse.Namespace) -> None:
-    """Refuse before the long part what cannot be written after it."""
-    if options.plot and Path(options.plot).suffix.lower() != ".png":
-        raise ValueError(f"{options.plot!r}: the curve is written as .png")
-    for target in filter(None, (options.json, options.plot)):
-        if not Path(target).parent.is_dir():
-            raise ValueError(f"{target!r}: there is no folder {str(Path(target).parent)!r}")
 
 
 def _table(name: str, evaluation: Evaluation) -> list[str]:

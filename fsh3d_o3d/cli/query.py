@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.cli._console import error_line, print_json, say
 from fsh3d_o3d.cli._passed_over import in_brackets
+from fsh3d_o3d.cli._targets import checked_targets
 from fsh3d_o3d.retrieval.library_files import LibraryScan, is_folder, scan_library
 from fsh3d_o3d.retrieval.shape_index import Hit, ShapeIndex
 
@@ -124,11 +124,7 @@ def _check_report(options: argparse.Namespace) -> None:
         return
     if options.near_duplicates:
         raise ValueError("--report shows the results of a query, not --near-duplicates")
-    target = Path(options.report)
-    if target.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"--report must end in .html or .htm, got {options.report!r}")
-    if not target.parent.is_dir():
-        raise ValueError(f"--report: there is no folder {str(target.parent)!r}")
+    checked_targets({"--report": (options.report, (".html", ".htm"))}, {"the query": options.input})
 
 
 def _write_report(target: str, found: _Found) -> None:

@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import platformdirs
 from numpy.typing import NDArray
 
+from fsh3d_o3d._cache_folder import cache_folder
 from fsh3d_o3d._regular_file import open_regular
 from fsh3d_o3d._version import __version__
 
@@ -39,9 +39,7 @@ _log = logging.getLogger("fsh3d_o3d")
 
 def descriptor_cache_path() -> Path:
     """Return the file where descriptors are kept; it need not exist."""
-    root = os.environ.get("FSH3D_CACHE_DIR")
-    folder = Path(root).expanduser() if root else platformdirs.user_cache_path("fsh3d_o3d", appauthor=False)
-    return folder / "descriptors" / f"v{_FORMAT}.sqlite"
+    return cache_folder() / "descriptors" / f"v{_FORMAT}.sqlite"
 
 
 def clear_descriptor_cache() -> int:

@@ -97,7 +97,7 @@ def extract_descriptors(
         RuntimeError: The worker processes do not start, or descriptors differ in length.
     """
     workers = _available_cores() if workers is None else check.integer(workers, "workers", minimum=1, maximum=1024)
-    timeout = check.number(timeout, "timeout", minimum=0, exclusive=True)
+    timeout = check.seconds(timeout, "timeout")
     names = [os.fsdecode(path) for path in paths]
     entries: dict[int, CachedDescriptor] = {}
     reasons: dict[int, str] = {}

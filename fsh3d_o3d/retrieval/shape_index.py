@@ -211,7 +211,7 @@ class ShapeIndex:
             raise ValueError("address is of a Ray cluster: give engine='ray' with it")
         cores = len(os.sched_getaffinity(0)) if workers is None else workers
         number = check.integer(cores, "workers", minimum=1, maximum=1024)
-        limit = check.integer(memory_limit, "memory_limit", minimum=2**20)
+        limit = check.memory_limit(memory_limit, "memory_limit")
         if moved_from is not None and library is None:
             raise ValueError("moved_from says where a library was: give library with it")
         names = list(dict.fromkeys(real_files(paths)))
@@ -219,7 +219,7 @@ class ShapeIndex:
             names,
             DescribeFile(self._option, thumbnail=thumbnail, memory_limit=limit),
             workers=number,
-            timeout=check.number(timeout, "timeout", minimum=0, exclusive=True),
+            timeout=check.seconds(timeout, "timeout"),
             retry_failed=retry_failed,
             progress=progress,
             library=None if library is None else real_folder(library),

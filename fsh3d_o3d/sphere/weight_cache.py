@@ -12,16 +12,15 @@ import hashlib
 import io
 import json
 import logging
-import os
 import threading
 from collections import OrderedDict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import platformdirs
 
 from fsh3d_o3d._atomic import atomic_write_bytes
+from fsh3d_o3d._cache_folder import cache_folder
 from fsh3d_o3d._npz import read_npz
 from fsh3d_o3d.sphere.grids import SphericalGrid
 
@@ -40,8 +39,7 @@ _memory: OrderedDict[str, WeightSolution] = OrderedDict()
 
 def weight_cache_directory() -> Path:
     """Return the folder where solved weights are kept; it need not exist."""
-    root = os.environ.get("FSH3D_CACHE_DIR")
-    return (Path(root).expanduser() if root else platformdirs.user_cache_path("fsh3d_o3d", appauthor=False)) / "weights"
+    return cache_folder() / "weights"
 
 
 def clear_weight_cache() -> int:

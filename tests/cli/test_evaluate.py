@@ -91,7 +91,7 @@ def test_failed_inputs_are_listed(tmp_path, capsys):
         (["--classification", "none.cla"], "none.cla: No such file or directory"),
         (["--classification", SAMPLES / "gem.stl"], "classification file"),
         (["--json", "no/such/folder/out.json"], "there is no folder"),
-        (["--plot", "curve.jpg"], "the curve is written as .png"),
+        (["--plot", "curve.jpg"], "--plot must end in .png"),
         (["--workers", "0"], "not between 1 and 1024"),
         (["--workers", "two"], "invalid"),
         (["--option", "worst"], "invalid choice"),
