@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.adapters._object_storage import StoredObject, is_uri, object_states
+from fsh3d_o3d.adapters._object_storage import is_uri, list_objects, object_states
 from fsh3d_o3d.adapters._parsers import file_content, parse_content
 from fsh3d_o3d.adapters._topology import EdgeTable
 from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
@@ -33,24 +33,24 @@ class FileState:
     """What tells, without reading it, that a file may have changed."""
 
     size: int
-    """Bytes."""
+    """Bytes; of a ``.gltf`` with those of the buffers in its folder."""
     mtime: int
     """Time of the last change, in nanoseconds."""
 
     @classmethod
     def of(cls, path: str) -> FileState:
-        """Return a file's, or an object's in storage.
+        """Return a file's, or an object's in storage; of a ``.gltf`` with the buffers in its folder.
 
         Raises:
             OSError: There is none.
         """
+        found = cls.of_all([path])[path]
+        if isinstance(found, FileState):
+            return found
         if is_uri(path):
-            found = object_states([path]).get(path)
-            if found is None:
-                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)
-            return cls._listed(found)
-        about = os.stat(path)  # noqa: PTH116 - pathlib has nothing for names that are not UTF-8
-        return cls(about.st_size, about.st_mtime_ns)
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)
+        os.stat(path)  # noqa: PTH116 - raises what was found to be wrong
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)  # and is there again
 
     @classmethod
     def of_all(cls, paths: Iterable[str]) -> dict[str, FileState | str]:
@@ -63,15 +63,44 @@ class FileState:
         for path in states:
             if not is_uri(path):
                 try:
-                    states[path] = cls.of(path)
+                    about = os.stat(path)  # noqa: PTH116 - pathlib has nothing for names that are not UTF-8
+                    states[path] = cls(about.st_size, about.st_mtime_ns)
                 except OSError as error:
                     states[path] = error.strerror or str(error)
         found = object_states(path for path in states if is_uri(path))
-        return states | {path: cls._listed(one) for path, one in found.items()}
+        states |= {path: cls(one.size, one.mtime) for path, one in found.items()}
+        buffers: dict[str, FileState] = {}
+        for path, state in states.items():
+            if isinstance(state, FileState) and has_buffers(path):
+                folder = os.path.dirname(path)  # noqa: PTH120 - any bytes
+                if folder not in buffers:
+                    buffers[folder] = cls._of_buffers(folder)
+                beside = buffers[folder]
+                states[path] = cls(state.size + beside.size, max(state.mtime, beside.mtime))
+        return states
 
     @classmethod
-    def _listed(cls, found: StoredObject) -> FileState:
-        return cls(found.size, found.mtime)
+    def _of_buffers(cls, folder: str) -> FileState:
+        """Of all buffers in a folder together: whose they are stands in files that are not read for this."""
+        if is_uri(folder):
+            found = [(one.size, one.mtime) for one in list_objects(folder, recursive=False) if _is_buffer(one.uri)]
+        else:
+            found = []
+            with contextlib.suppress(OSError), os.scandir(folder) as entries:
+                for entry in entries:
+                    if _is_buffer(entry.name):
+                        about = entry.stat()
+                        found.append((about.st_size, about.st_mtime_ns))
+        return cls(sum(size for size, _ in found), max((changed for _, changed in found), default=0))
+
+
+def has_buffers(path: str) -> bool:
+    """Return whether a file may take a part of its content from other files beside it."""
+    return path.lower().endswith(".gltf")
+
+
+def _is_buffer(name: str) -> bool:
+    return name.lower().endswith(".bin")
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +110,7 @@ class Described:
     state: FileState
     """The file's, before and after it was read."""
     content: bytes
-    """SHA-256 of its bytes."""
+    """SHA-256 of its bytes; where it needs others beside it, of the SHA-256 of all these files."""
     signature: ShapeSignature | None
     """Its descriptor; None where a file of this content and format is in the index already."""
     vertices: int = 0
@@ -117,11 +146,17 @@ class DescribeFile:
         with _limited(self.memory_limit):
             data = file_content(path)
             content = hashlib.sha256(data).digest()
-            if identity(path, content) in self.known:
+            if not has_buffers(path) and identity(path, content) in self.known:
                 return Described(state, content, None)
             # Not in yet another process: this one is the one that may die.
-            geometry = parse_content(path, data).geometry
-            del data
+            found = parse_content(path, data)
+            geometry = found.geometry
+            if found.used:
+                parts = (hashlib.sha256(part).digest() for part in (data, *found.used))
+                content = hashlib.sha256(b"".join(parts)).digest()
+            del data, found
+            if has_buffers(path) and identity(path, content) in self.known:
+                return self._unchanged(path, Described(state, content, None))
             signature = describe(geometry, self.option)
             mesh = geometry if isinstance(geometry, MeshArrays) else None
             described = Described(
@@ -133,7 +168,10 @@ class DescribeFile:
                 watertight=mesh is not None and _watertight(mesh),
                 thumbnail=b"" if self.thumbnail is None else self.thumbnail(geometry),
             )
-        if FileState.of(path) != state:
+        return self._unchanged(path, described)
+
+    def _unchanged(self, path: str, described: Described) -> Described:
+        if FileState.of(path) != described.state:
             raise GeometryError("changed while it was read")
         return described
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from fsh3d_o3d.adapters._object_storage import is_uri, list_objects
 from fsh3d_o3d.adapters._parsers import file_content
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.retrieval._index_extraction import FileState
+from fsh3d_o3d.retrieval._index_extraction import FileState, has_buffers
 from fsh3d_o3d.retrieval._index_roots import LibraryRoots, inside, library_of
 from fsh3d_o3d.retrieval.library_files import ABSENT, missing_files
 
@@ -67,6 +67,8 @@ def moved_libraries(
         own = library_of(stored)
         if own is not None and roots.locations.get(own) != folder:
             path = start + os.fsdecode(stored[len(own) :])
+            if has_buffers(path):  # its content is known only after it is parsed, which is not done in this process
+                continue
             state = states.get(path)
             if isinstance(state, FileState) and state.size == before.size:
                 alike[own].append(_Alike(path, content[:_CONTENT], state == before))

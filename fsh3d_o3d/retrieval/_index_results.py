@@ -54,7 +54,7 @@ class IndexedModel:
     path: str
     """The file, absolute."""
     size: int
-    """Bytes."""
+    """Bytes; of a ``.gltf`` with those of all buffers in its folder."""
     changed: int
     """Time of the file's last change when it was indexed, in nanoseconds since 1970."""
     vertices: int

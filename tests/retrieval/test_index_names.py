@@ -17,6 +17,8 @@ from fsh3d_o3d.retrieval._index_extraction import Described, FileState, describe
 from fsh3d_o3d.retrieval._index_rows import model_columns
 from fsh3d_o3d.retrieval.shape_index import ShapeIndex
 from fsh3d_o3d.retrieval.worker_pool import Outcome
+from tests.adapters.gltf_files import GltfFile
+from tests.adapters.mutations import VERTICES
 from tests.retrieval.index_cases import QUICK, blob, write_library
 
 SHAPES = 7
@@ -388,3 +390,38 @@ def test_forgetting_files_and_folders(known, library, tmp_path):
     assert list(rows(known)) == [os.fspath(library.folder / "c.off")]
     assert known.add_files(library.paths(), workers=1, library=library.folder).added == 4
     assert rows(known) == library.truth()
+
+
+def test_a_buffer_beside_a_file_is_a_part_of_it(index, tmp_path):
+    folder = tmp_path / "gltf"
+    folder.mkdir()
+    names = [folder / "one.gltf", folder / "two.gltf"]
+
+    def write(name, stretch):
+        scene = GltfFile()
+        scene.mesh(scene.octahedron(POSITION=scene.array(VERTICES * np.float32(stretch))))
+        scene.tree["nodes"] = [{"mesh": 0}]
+        name.write_text(scene.gltf(f"{name.stem}.bin"))
+        name.with_suffix(".bin").write_bytes(scene.data)
+
+    write(names[0], [1, 2, 3])
+    write(names[1], [1, 1, 4])
+    assert index.add_files(names, workers=1).added == 2
+    before = {path: row for path, row in rows(index).items() if path.endswith(".gltf")}
+    assert index.add_files(names, workers=1).unchanged == 2
+    # The same text, and a buffer of the same size with other numbers.
+    text = names[0].read_text()
+    write(names[0], [2, 5, 3])
+    assert names[0].read_text() == text
+    os.utime(names[0], (1, 1))
+    os.utime(names[0].with_suffix(".bin"), (9 * 10**9, 9 * 10**9))
+    update = index.add_files(names, workers=1)
+    assert (update.added, update.moved) == (1, 1)  # the other was looked into, and is as it was
+    after = rows(index)
+    assert after[str(names[1])] == before[str(names[1])]
+    assert after[str(names[0])][0] != before[str(names[0])][0]
+    assert after[str(names[0])][1] != before[str(names[0])][1]
+    names[1].with_suffix(".bin").unlink()
+    assert [failed.path for failed in index.add_files(names, workers=1).failed] == [str(names[1])]
+    write(names[1], [1, 1, 4])
+    assert index.add_files(names, workers=1).failed == ()

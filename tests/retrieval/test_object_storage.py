@@ -279,6 +279,30 @@ def test_storage_that_does_not_answer(tmp_path, monkeypatch, capsys, server):
         list(library_files("s3://library"))
 
 
+def test_a_stored_library_that_moves(upload, blobs, server, tmp_path):
+    for path in blobs:
+        upload(path, f"parts/{Path(path).name}")
+    index = ShapeIndex.open("s3://library/parts/index", create=True, option=QUICK)
+    where = {"leave_out": "s3://library/parts/index"}
+    assert index.add_files(library_files("s3://library/parts", **where), library="s3://library/parts").added == 4
+    assert index.summary().libraries == {"s3://library/parts": 4}
+    assert "s3://library/parts/blob1.off" in index
+    index = ShapeIndex.open(tmp_path / "index", create=True, option=QUICK)
+    index.add_files(library_files("s3://library/parts", **where), library="s3://library/parts/")
+    for path in blobs:
+        upload(path, f"moved/{Path(path).name}")
+    server.delete_dir("library/parts")
+    update = index.add_files(library_files("s3://library/moved"), library="s3://library/moved")
+    assert [(move.old, move.new) for move in update.libraries] == [("s3://library/parts", "s3://library/moved")]
+    assert (update.added, update.moved + update.unchanged) == (0, 4)
+    assert list(index) == [f"s3://library/moved/{Path(path).name}" for path in blobs]
+    # And onto a disk.
+    server.delete_dir("library/moved")
+    folder = Path(blobs[0]).parent
+    assert len(index.add_files(blobs, library=folder).libraries) == 1
+    assert list(index) == blobs
+
+
 class Refusing(BaseHTTPRequestHandler):
     """A storage that denies access, whatever it is asked."""
 
