@@ -67,7 +67,9 @@ def _read_binary(source: Source, offset: int, elements: list[PlyElement]) -> dic
 
 def _more_follow(data: bytes, offset: int, elements: list[PlyElement]) -> bool:
     """Whether what follows the last element looks like more of it: then the header's count is not the file's."""
-    last = [element for element in elements if element.properties][-1]
+    last = next((element for element in reversed(elements) if element.properties), None)
+    if last is None:
+        return False
     vertices = next((element.count for element in elements if element.name == "vertex"), 0)
     layout = [(entry.dtype, entry.count_dtype) for entry in last.properties]
     rest = data[offset:]

@@ -155,8 +155,9 @@ def indices(values: Float64Array, what: str) -> IntArray:
     """Return numbers read from text as integers; fractions, NaN and absurd sizes are an error."""
     with np.errstate(invalid="ignore"):
         result = values.astype(np.int64)
-    good = (result == values) & (np.abs(values) <= _EXACT_INTEGER)
-    if not good.all():
+    good = result == values
+    if not (good.all() and result.min(initial=0) >= -_EXACT_INTEGER and result.max(initial=0) <= _EXACT_INTEGER):
+        good &= np.abs(values) <= _EXACT_INTEGER
         raise GeometryReadError(f"{what} must be whole numbers, found {values[~good][0]:g}")
     return result
 

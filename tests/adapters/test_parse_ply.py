@@ -84,6 +84,10 @@ def test_properties_that_differ_in_capitals_only_are_two(read):
             "18 bytes follow the elements .* in records like the last one",
         ),
         (BINARY[:-1], "truncated"),
+        (
+            "ply\nformat binary_big_endian 1.0\nelement vertex 3\nend_header\nabcdef",
+            "no vertex element with x, y and z",
+        ),
         (TEXT.replace("property float y", "propetry float y"), "is not understood"),
         (TEXT.replace("property float y", "junk float y"), "is not understood"),
         (TEXT.replace("element face 6", "xlement face 6"), "is not understood"),
