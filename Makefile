@@ -1,12 +1,12 @@
 # make help lists the targets. Set-up is part of each: nothing has to be installed by hand on Debian or Ubuntu.
 .DEFAULT_GOAL := help
-.PHONY: help demo test fuzz lint bench paper docs samples clean
+.PHONY: help demo test fuzz constraints lint bench paper docs samples clean
 BIN := .venv/bin
 PYTEST_WORKERS ?= 2
 FUZZ_SECONDS ?= 600
 
 help:  ## List the targets
-	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
 demo:  ## Install what is needed and reconstruct a sample shape
 	@bash tools/bootstrap.sh cpu
@@ -43,6 +43,10 @@ docs:  ## Build the documentation site in output/site
 	@bash tools/bootstrap.sh cpu,docs
 	@$(BIN)/python -m sphinx -W --keep-going -q -d output/doctrees docs output/site
 	@echo "Open output/site/index.html"
+
+constraints:  ## Write constraints.txt anew with the newest versions; takes Python 3.10 to 3.13
+	@bash tools/bootstrap.sh cpu
+	@$(BIN)/python tools/constraints.py
 
 samples:  ## Generate the sample shapes anew
 	@bash tools/bootstrap.sh cpu
