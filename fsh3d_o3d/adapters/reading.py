@@ -42,7 +42,8 @@ def read_geometry_arrays(
     placed as they stand while no animation plays, STL corners are welded where they are equal to the last bit; other
     duplicate vertices stay).
     Points: ``.xyz .xyzn .xyzrgb .pts .pcd``, and ``.ply .obj .off`` and glTF without faces, with normals and colours
-    where the file has them.
+    where the file has them. Buffers of a ``.gltf`` may lie in the same folder under a plain name; nothing else is
+    opened.
 
     Args:
         path: The file; its extension names the format. Also ``s3://bucket/name`` and the like, with the credentials
