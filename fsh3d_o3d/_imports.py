@@ -28,7 +28,7 @@ def working_folder() -> str | None:
 
 # ``python -m`` and an empty entry of PYTHONPATH put it on the path by its name, which stays there when folders change.
 _STARTED_IN = working_folder()
-_PACKAGE = os.path.realpath(os.path.dirname(os.path.dirname(__file__)))  # noqa: PTH120 - any bytes
+PACKAGE_FOLDER = os.path.realpath(os.path.dirname(os.path.dirname(__file__)))  # noqa: PTH120 - any bytes
 # Working in one of these is no reason to do without it. The package's own is a checkout's, for those who work on it.
 _INSTALLED = {
     os.path.realpath(folder)
@@ -36,7 +36,7 @@ _INSTALLED = {
         *(sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")),
         *site.getsitepackages(),
         site.getusersitepackages(),
-        _PACKAGE,
+        PACKAGE_FOLDER,
     )
 }
 _lock = threading.RLock()

@@ -88,11 +88,23 @@ def test_the_command_runs_nothing_beside_the_files(library, tmp_path):
         ["reconstruct", SAMPLES / "gem.stl", tmp_path / "o.ply", "--bandwidth", "4", "--report", tmp_path / "o.html"],
         ["index", ".", tmp_path / "index", "--option", "energies", "--workers", "1"],
         ["query", tmp_path / "index", "box.off"],
+        [
+            "index",
+            ".",
+            tmp_path / "other",
+            "--option",
+            "energies",
+            "--workers",
+            "1",
+            "--engine",
+            "ray",
+            "--no-thumbnails",
+        ],
     ):
         done = subprocess.run(
             [sys.executable, "-c", program, *map(str, arguments)],
             cwd=library,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            env={**os.environ, "PYTHONPATH": str(ROOT), "RAY_USAGE_STATS_ENABLED": "0"},
             capture_output=True,
             text=True,
         )

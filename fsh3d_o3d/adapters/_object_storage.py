@@ -11,11 +11,9 @@ import contextlib
 import errno
 import functools
 import os
-import queue
 import re
-import threading
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any
@@ -23,6 +21,7 @@ from urllib.parse import urlsplit
 
 from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d._printable import without_credentials
+from fsh3d_o3d.adapters._deadline import within
 
 _URI = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)
 SCHEMES = ("s3", "gs", "abfss")
@@ -219,36 +218,12 @@ def _located(uri: str) -> tuple[Any, str]:
         bucket = path.partition("/")[0]
         if (scheme, bucket) not in _answered:
             # For a file, there or not: asked for a bucket without credentials, Azure's client ends the process.
-            _within(_ANSWER_SECONDS, lambda: files.get_file_info(f"{bucket}/-"))
+            within(_ANSWER_SECONDS, lambda: files.get_file_info(f"{bucket}/-"))
             _answered.add((scheme, bucket))
     return files, path
 
 
 _answered: set[tuple[str, str]] = set()
-
-
-def _within(seconds: float, call: Callable[[], object]) -> None:
-    """Call in a thread that is left behind if it takes too long: the clients of some storages have no limit of time.
-
-    Raises:
-        TimeoutError: It did.
-    """
-    outcome: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
-
-    def run() -> None:
-        try:
-            call()
-            outcome.put(None)
-        except BaseException as error:
-            outcome.put(error)
-
-    threading.Thread(target=run, daemon=True).start()
-    try:
-        error = outcome.get(timeout=seconds)
-    except queue.Empty:
-        raise TimeoutError(errno.ETIMEDOUT, "the storage timed out") from None
-    if error is not None:
-        raise error
 
 
 @functools.lru_cache(maxsize=4)

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
 from typing import Any
 from urllib.parse import urlsplit
 
-from fsh3d_o3d._imports import import_installed
+from fsh3d_o3d._imports import PACKAGE_FOLDER, import_installed
 from fsh3d_o3d.retrieval.worker_pool import Outcome, Result, Task, run_tasks
 
 _SMALLEST_PART = 8  # tasks: starting a process takes as long as describing dozens of files
@@ -60,7 +60,10 @@ def run_tasks_on_ray(
             _require_server(address)
         own = {"address": "local", "num_cpus": workers, "include_dashboard": False}
         try:
-            ray.init(**(own if address is None else {"address": address}), log_to_driver=False, logging_level="ERROR")
+            with _in_the_package_folder():
+                ray.init(
+                    **(own if address is None else {"address": address}), log_to_driver=False, logging_level="ERROR"
+                )
         except (RuntimeError, ValueError, OSError) as error:
             where = "on this machine" if address is None else f"at {address}"
             raise ConnectionError(f"no Ray {where}: {' '.join(str(error).split())[:200]}") from error
@@ -72,6 +75,22 @@ def run_tasks_on_ray(
     finally:
         if ours:
             ray.shutdown()
+
+
+@contextmanager
+def _in_the_package_folder() -> Iterator[None]:
+    """A block in which the working folder is where this package is installed.
+
+    Ray puts the one in which it is started before all else on the path of its workers, which would run a ``numpy.py``
+    that lies among the files of a library.
+    """
+    before = os.open(".", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.chdir(PACKAGE_FOLDER)
+        yield
+    finally:
+        os.fchdir(before)
+        os.close(before)
 
 
 def _require_server(address: str) -> None:

@@ -13,6 +13,7 @@ import pytest
 import fsh3d_o3d as fsh
 from fsh3d_o3d._printable import printable
 from fsh3d_o3d.adapters import _object_storage as storage
+from fsh3d_o3d.adapters._deadline import within
 from fsh3d_o3d.cli import main
 from fsh3d_o3d.retrieval.library_files import library_files
 
@@ -105,11 +106,11 @@ def test_storage_that_accepts_and_never_answers(silent, monkeypatch, capsys, tmp
 def test_a_call_that_takes_too_long_is_left_behind():
     hold = threading.Event()
     with pytest.raises(TimeoutError, match="timed out"):
-        storage._within(0.05, lambda: hold.wait(60))
+        within(0.05, lambda: hold.wait(60))
     hold.set()
-    storage._within(60, lambda: time.sleep(0))
+    within(60, lambda: time.sleep(0))
     with pytest.raises(FileNotFoundError):
-        storage._within(60, lambda: Path("/none").stat())
+        within(60, lambda: Path("/none").stat())
 
 
 @pytest.mark.parametrize(
