@@ -49,6 +49,7 @@ PARSERS: dict[str, Parser] = {
 """A file's extension, and what turns its content into arrays or raises ``GeometryError`` with the reason."""
 
 _SNIFFED = 4096  # bytes
+_LONGEST_REASON = 400  # characters
 _LONGEST_MESSAGE = 2000  # characters
 _TOO_LITTLE_MEMORY = "needs more memory than the reader is allowed"
 # In this order; looked for only where the parser that the extension names has failed.
@@ -144,6 +145,8 @@ def parser_for(path: str) -> Parser:
 
 def read_error(path: str, reason: str) -> GeometryReadError:
     """Return the error for a file: one line of printable characters, whatever its name and content."""
+    if len(reason) > _LONGEST_REASON:  # a name in a file may be as long as the file
+        reason = f"{reason[:_LONGEST_REASON]}…"
     return GeometryReadError(printable(f"{path}: {reason}"[:_LONGEST_MESSAGE]))
 
 

@@ -81,6 +81,9 @@ def _off() -> Iterator[Dialect]:
         yield Dialect(f"{name}.off", data, tail=tail, trimesh=wrong.get(name, ""))
     faces = "".join(f"4 {' '.join(map(str, face))}\n" for face in _BOX_FACES)
     yield Dialect("box.off", f"OFF\n8 6 12\n{_BOX}{faces}".encode(), "box")
+    binary = struct.pack(">3i", 6, 8, 12) + VERTICES.astype(">f4").tobytes()
+    binary += b"".join(struct.pack(">5i", 3, *corners, 0) for corners in TRIANGLES.tolist())
+    yield Dialect("binary.off", b"OFF BINARY\n" + binary, trimesh="it reads text only")
     yield Dialect("points.off", f"OFF\n6 0 0\n{POINTS}".encode(), "cloud")
 
 

@@ -89,7 +89,7 @@ def folder(tmp_path) -> Callable[[Dialect], Path]:
 
 def test_there_are_many_of_each_format():
     assert len({dialect.name for dialect in DIALECTS}) == len(DIALECTS) >= LEAST
-    assert {Path(dialect.name).suffix for dialect in DIALECTS} <= set(PARSERS)
+    assert {Path(dialect.name).suffix for dialect in DIALECTS} == set(PARSERS)
 
 
 def test_every_dialect_is_read_as_what_it_holds_by_one_reader(folder):

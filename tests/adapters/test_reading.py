@@ -282,6 +282,17 @@ def test_refused_with_the_reason(name, content, reason, write):
     refuse(write(name, content), reason)
 
 
+def test_reason_stays_short_whatever_a_file_calls_its_parts(write):
+    head = (
+        f"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nelement {'a' * 9000} 1\nproperty list int int i\n"
+    )
+    path = write("n.ply", head + "end_header\n1\n-2\n")
+    refuse(path, "a list of -2 items in element aaa.*a…$")
+    with pytest.raises(GeometryReadError) as caught:
+        read_here(path)
+    assert len(str(caught.value)) < len(str(path)) + 500
+
+
 @pytest.mark.parametrize("isolated", [True, False])
 def test_what_is_not_a_regular_file(tmp_path, isolated):
     link = tmp_path / "link.off"
