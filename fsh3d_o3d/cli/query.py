@@ -109,12 +109,17 @@ def _print(path: str, hits: Sequence[Hit], options: argparse.Namespace) -> None:
 def _near_duplicates(index: ShapeIndex, options: argparse.Namespace) -> int:
     pairs = index.near_duplicates(options.limit)
     if options.json:
-        found = [{"first": pair.first, "second": pair.second, "distance": pair.distance} for pair in pairs]
+        found = [
+            {"first": pair.first, "second": pair.second, "distance": pair.distance, "mirrored": pair.mirrored}
+            for pair in pairs
+        ]
         print_json({"models": len(index), "limit": options.limit, "pairs": found})
         return 0
     for pair in pairs:
-        say(f"{pair.distance:.4f}  {pair.first}  {pair.second}")
-    say(f"{len(pairs)} pairs within {options.limit:g} among {len(index)} models", error=True)
+        say(f"{pair.distance:.4f}  {pair.first}  {pair.second}{'  mirrored' if pair.mirrored else ''}")
+    count = sum(pair.mirrored for pair in pairs)
+    only = f", {count} of them mirror images" if count else ""
+    say(f"{len(pairs)} pairs within {options.limit:g} among {len(index)} models{only}", error=True)
     return 0
 
 

@@ -26,6 +26,13 @@ def fixed_lists(rows: NDArray[Any]) -> Any:
     return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(rows).ravel()), rows.shape[1])
 
 
+def column(values: Any, kind: Any) -> Any:
+    """Return values, a sequence or a column of another table, as a column of a type."""
+    pa = import_installed("pyarrow")
+
+    return values.cast(kind) if isinstance(values, pa.ChunkedArray) else pa.array(values, kind)
+
+
 def identifiers(table: Any) -> IntArray:
     """Return the column ``_rowid`` (n,) of an Arrow table."""
     return np.asarray(table["_rowid"].to_numpy(), dtype=np.int64)

@@ -45,6 +45,8 @@ class NearDuplicate:
     """The other."""
     distance: float
     """Of their features."""
+    mirrored: bool = False
+    """Whether they only fit as mirror images: a left and a right part, which features cannot tell apart."""
 
 
 @dataclass(frozen=True)

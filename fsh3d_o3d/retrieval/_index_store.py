@@ -6,6 +6,7 @@ the state before or after a change.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import functools
 import os
@@ -20,12 +21,13 @@ from numpy.typing import NDArray
 
 from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d._printable import encodable
-from fsh3d_o3d.adapters._object_storage import folder_names, is_uri, lance_options, list_objects
+from fsh3d_o3d.adapters._object_storage import is_uri, lance_options, list_objects
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.retrieval._index_checksums import CHECKSUM, FOLDER, FileChecksums, row_checksums
-from fsh3d_o3d.retrieval._index_columns import is_one_of
+from fsh3d_o3d.retrieval._index_columns import column, is_one_of
 from fsh3d_o3d.retrieval._index_durability import DiskSync
 from fsh3d_o3d.retrieval._index_errors import ShapeIndexError, translated
+from fsh3d_o3d.retrieval._index_folder import is_unmade, names_in, require_format
 from fsh3d_o3d.retrieval._index_roots import LibraryRoots
 from fsh3d_o3d.retrieval._index_schema import basis_table, failure_schema, model_schema, read_basis, root_schema
 from fsh3d_o3d.retrieval._index_version import TableVersion
@@ -85,8 +87,8 @@ class IndexStore:
             raise ShapeIndexError(
                 f"{path}: the name of an index, and of its folder, must be UTF-8 without control characters"
             )
-        names = _names(path)
-        there = names is not None and "models.lance" in names and not _unmade(path)
+        names = names_in(path)
+        there = names is not None and "models.lance" in names and not is_unmade(path)
         if not there and option is None:
             if names is not None:
                 raise ShapeIndexError(f"{path}: this folder is no index")
@@ -110,19 +112,7 @@ class IndexStore:
                     DiskSync(path).table(name)
                     files.write(name, newest)
             models = database.open_table("models")
-            store_format = (models.schema.metadata or {}).get(b"fsh3d.format", b"").decode()
-            if store_format.isdigit() and int(store_format) > FORMAT:
-                raise ShapeIndexError(
-                    f"{path}: the index has format {store_format}, made by a newer version of fsh3d_o3d; "
-                    f"this one reads up to {FORMAT}"
-                )
-            if store_format.isdigit() and int(store_format) < FORMAT:
-                raise ShapeIndexError(
-                    f"{path}: the index has format {store_format}, made by an older version of fsh3d_o3d; "
-                    "index the library anew"
-                )
-            if store_format != str(FORMAT):
-                raise ShapeIndexError(f"{path}: this folder is no index of fsh3d_o3d")
+            require_format(path, (models.schema.metadata or {}).get(b"fsh3d.format", b"").decode(), FORMAT)
             failures, roots = database.open_table("failures"), database.open_table("roots")
             return cls(path, database, models, failures, roots, read_basis(path, database.open_table("basis")))
 
@@ -214,7 +204,7 @@ class IndexStore:
 
         fields = [field for field in table.schema if field.name != CHECKSUM]
         data = pa.concat_tables(
-            [pa.table({field.name: _column(part[field.name], field.type) for field in fields}) for part in parts]
+            [pa.table({field.name: column(part[field.name], field.type) for field in fields}) for part in parts]
         )
         data = data.append_column(CHECKSUM, pa.array(row_checksums(data))).select(table.schema.names)
         merge = table.merge_insert("path").when_matched_update_all().when_not_matched_insert_all()
@@ -278,17 +268,14 @@ class IndexStore:
         if is_uri(folder):
             found = [(one.size, one.mtime) for one in list_objects(folder, recursive=False)]
         elif os.path.isdir(folder):  # noqa: PTH112
-            found = [(about.st_size, about.st_mtime_ns) for about in (file.stat() for file in os.scandir(folder))]
+            found = []
+            for file in os.scandir(folder):
+                with contextlib.suppress(FileNotFoundError):  # removed by another process that tidies up
+                    found.append((file.stat().st_size, file.stat().st_mtime_ns))
         else:
             return 0
         limit = time.time_ns() - _KEPT_SECONDS * 10**9
         return sum(size for size, changed in found if changed < limit)
-
-
-def _column(values: Any, kind: Any) -> Any:
-    pa = import_installed("pyarrow")
-
-    return values.cast(kind) if isinstance(values, pa.ChunkedArray) else pa.array(values, kind)
 
 
 def _retried(table: Any, call: Any) -> None:
@@ -301,21 +288,6 @@ def _retried(table: Any, call: Any) -> None:
             if "conflict" not in str(error).lower() or attempt == _ATTEMPTS - 1:
                 raise
             table.checkout_latest()
-
-
-def _unmade(path: str) -> bool:
-    """Whether the making of the models' table was cut off before its first manifest: it then has no data, either."""
-    table = os.path.join(path, "models.lance")  # noqa: PTH118 - keeps bytes that are not UTF-8
-    return not any(_names(os.path.join(table, part)) for part in ("_versions", "data"))  # noqa: PTH118
-
-
-def _names(path: str) -> set[str] | None:
-    """What a folder holds; None if there is none."""
-    if is_uri(path):
-        return folder_names(path) or None
-    if os.path.isfile(path):  # noqa: PTH113 - keeps bytes that are not UTF-8
-        raise ShapeIndexError(f"{path}: this is a file, not the folder of an index")
-    return set(os.listdir(path)) if os.path.isdir(path) else None  # noqa: PTH112, PTH208 - same
 
 
 def _lancedb() -> Any:

@@ -40,6 +40,11 @@ def ell() -> MeshArrays:
     return voxels([[[1], [1]], [[1], [0]]])
 
 
+def screw() -> MeshArrays:
+    """Four cubes along x, y, then z: another shape than its mirror image."""
+    return voxels([[[1, 0], [0, 0]], [[1, 0], [1, 1]]])
+
+
 def u_shape() -> MeshArrays:
     """Five cubes in a U: volume 5, empty kernel."""
     return voxels([[[1], [1]], [[1], [0]], [[1], [1]]])

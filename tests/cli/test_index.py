@@ -10,7 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from fsh3d_o3d.adapters.geometry import MeshArrays
+from fsh3d_o3d.adapters.writing import write_geometry
 from fsh3d_o3d.cli import main
+from tests.adapters.mesh_shapes import screw
 from tests.retrieval.index_cases import write_library
 
 HOSTILE = b"<img src=x onerror=alert(1)>'\"\n\x1b[31m\xff.off"
@@ -85,6 +88,29 @@ def test_near_duplicates(indexed, capsys):
     out, err = capsys.readouterr()
     assert len(out.splitlines()) == 1
     assert "1 pairs within 0.05 among 5 models" in err
+
+
+def test_mirror_images_are_marked(tmp_path, capsys, random_rotation):
+    left = screw()
+    right = MeshArrays(left.vertices * [1, 1, -1], left.triangles[:, ::-1])
+    copy = MeshArrays(2 * left.vertices @ random_rotation.T, left.triangles)
+    (tmp_path / "parts").mkdir()
+    for name, mesh in (("left.off", left), ("right.off", right), ("copy.ply", copy)):
+        write_geometry(tmp_path / "parts" / name, mesh)
+    assert run("index", tmp_path / "parts", tmp_path / "index", "--no-thumbnails", "--workers", "1", "--quiet") == 0
+    capsys.readouterr()
+    assert run("query", tmp_path / "index", "--near-duplicates", "--limit", "0.2", "--json") == 0
+    pairs = json.loads(capsys.readouterr().out)["pairs"]
+    found = {frozenset(Path(pair[name]).stem for name in ("first", "second")): pair["mirrored"] for pair in pairs}
+    assert found == {
+        frozenset({"left", "right"}): True,
+        frozenset({"copy", "right"}): True,
+        frozenset({"copy", "left"}): False,
+    }
+    assert run("query", tmp_path / "index", "--near-duplicates", "--limit", "0.2") == 0
+    out, err = capsys.readouterr()
+    assert sorted(line.endswith("  mirrored") for line in out.splitlines()) == [False, True, True]
+    assert "3 pairs within 0.2 among 3 models, 2 of them mirror images" in err
 
 
 def test_prune(tmp_path, capsys):

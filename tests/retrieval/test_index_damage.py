@@ -17,7 +17,7 @@ from fsh3d_o3d.retrieval._index_errors import translated
 from fsh3d_o3d.retrieval.shape_index import ShapeIndex, ShapeIndexError
 from tests.retrieval.index_cases import QUICK, blob, write_library
 
-FLIPS = 12  # in each file
+FLIPS = 6  # in each file
 
 
 def picture(geometry) -> bytes:

@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from fsh3d_o3d.adapters.geometry import MeshArrays
 from fsh3d_o3d.descriptors import SHDOption, compute_signature, shd_descriptor
-from fsh3d_o3d.retrieval.reranking import aligned_distances, mixed_distances
+from fsh3d_o3d.retrieval.reranking import aligned_distances, fits_only_mirrored, mixed_distances
 from fsh3d_o3d.retrieval.shd import SHDDescriptor
 from fsh3d_o3d.sphere import degrees_and_orders, rotate_coefficients
-from tests.adapters.mesh_shapes import bumpy, ell, torus, u_shape
+from tests.adapters.mesh_shapes import bumpy, ell, screw, torus, u_shape
 
 ROTATIONS = Rotation.random(5, random_state=1).as_matrix()
 OPTION = SHDOption(bandwidth=8, shells=8, widths=(0.3,), voxels=32)
@@ -122,3 +122,32 @@ def test_everything_may_be_reranked_and_the_mix_is_even():
 def test_wrong_numbers_of_candidates_are_refused(rerank):
     with pytest.raises((TypeError, ValueError), match="rerank"):
         SHDDescriptor(OPTION, rerank=rerank)
+
+
+def mirrored(mesh):
+    return MeshArrays(mesh.vertices * [1, 1, -1], mesh.triangles[:, ::-1])
+
+
+def coefficients(mesh):
+    return compute_signature(mesh, OPTION, bandwidth=8).coefficients
+
+
+def test_left_and_right_are_told_from_copies():
+    copies = [turned(screw(), rotation, 1.7) for rotation in ROTATIONS]
+    others = [turned(mirrored(screw()), rotation, 0.6) for rotation in ROTATIONS]
+    for own, expected in ((screw(), [False] * 5 + [True] * 5), (mirrored(screw()), [True] * 5 + [False] * 5)):
+        found = fits_only_mirrored(coefficients(own), np.stack([coefficients(mesh) for mesh in (*copies, *others)]))
+        assert found.tolist() == expected
+
+
+@pytest.mark.parametrize("symmetric", [ell, torus, u_shape])
+def test_symmetric_shapes_are_not_mirror_images(symmetric):
+    copies = [turned(mirrored(symmetric()), rotation) for rotation in ROTATIONS]
+    found = fits_only_mirrored(coefficients(symmetric()), np.stack([coefficients(mesh) for mesh in copies]))
+    assert not found.any()
+
+
+def test_what_does_not_depend_on_direction_is_not_mirrored():
+    assert not fits_only_mirrored(np.zeros((2, 16)), np.zeros((3, 2, 16))).any()
+    with pytest.raises(ValueError, match="candidates must have shape"):
+        fits_only_mirrored(np.zeros((2, 16)), np.zeros((3, 2, 9)))
