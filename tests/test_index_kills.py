@@ -59,7 +59,7 @@ def test_what_is_twice_lost_or_damaged_is_noticed(case, tmp_path):
     store.failures.add(store.failures.search().limit(1).to_arrow())
     problems = examine(index, case[1] | {"gone"}).problems
     assert [text.partition(":")[0] for text in problems] == ["twice in the models", "twice in the failures", "lost"]
-    store.remove(store.models, [os.fsencode(path) for path in case[1]])
+    store.remove(store.models, list(map(store.roots().stored, case[1])))
     assert len(examine(index, case[1]).problems) == 4  # three models, and the failure that is there twice
     shutil.rmtree(tmp_path / "index" / "models.lance" / "_versions")
     (problem,) = examine(index, case[1]).problems
