@@ -53,6 +53,8 @@ def resolve(version: str) -> dict[str, str]:
         pip = [f"{folder}/bin/python", "-m", "pip", "install", "-qq", "--disable-pip-version-check"]
         subprocess.run([*pip, "--upgrade", "pip"], check=True)  # older ones fetch whole packages to read what they need
         command = [*pip, "--dry-run", "--ignore-installed", "--report", str(report)]
+        # For the first release of each Python, which systems may have: some packages need a later one.
+        command += ["--python-version", f"{version}.0", "--only-binary", ":all:", "--target", f"{folder}/target"]
         command += [f"{ROOT}[{','.join(extras())}]"]
         subprocess.run(command, check=True)
         found = (entry["metadata"] for entry in json.loads(report.read_text(encoding="utf-8"))["install"])
