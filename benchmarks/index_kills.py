@@ -3,9 +3,11 @@
     python -m benchmarks.index_kills --models DIR [--kills 30] [--seed 0] [--writers 1] [--output DIR]
 
 Each writer is ended by SIGKILL, and its workers with it, at a moment drawn uniformly from the
-time that an undisturbed run takes, start-up included. After every kill the index must open, hold all that it held
-before, no model twice, and answer a query; then it is filled on. Whenever it is complete it must hold each model once
-and list the failures of the undisturbed run, no others, and a new one is begun.
+time that an undisturbed run takes, start-up included. Between kills files and folders of the library are renamed,
+moved, swapped, copied and replaced. After every kill the index must open, hold all that it held and that is still
+right, no path twice, and answer a query; then it is filled on. When a writer has come to its end one more, undisturbed,
+follows: then each file that can be read must have one row with its content, the others must be listed with the reason
+that they had in a first, undisturbed run, there must be nothing else, and a new index is begun.
 """
 
 from __future__ import annotations
@@ -22,11 +24,12 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from benchmarks._changing_library import ChangingLibrary, Identity
 from fsh3d_o3d.retrieval.library_files import library_files
 from fsh3d_o3d.retrieval.shape_index import ShapeIndex, ShapeIndexError
 
@@ -45,8 +48,8 @@ class Content:
 
     made: bool
     """Whether there is an index; else a kill came before its tables were there."""
-    models: frozenset[str]
-    """Files described."""
+    models: frozenset[tuple[str, str]]
+    """Files described, and the SHA-256 of their content."""
     failures: frozenset[tuple[str, str]]
     """Files not described, and why."""
     problems: tuple[str, ...]
@@ -69,6 +72,8 @@ class Kill:
     """Seconds of describing since the last commit; None with several writers, whose commits look alike."""
     problems: tuple[str, ...]
     """Empty if all was well."""
+    changes: tuple[str, ...] = ()
+    """Of the library, before the writer was started."""
 
 
 @dataclass
@@ -107,6 +112,7 @@ class Report:
             "lost models": sum("lost" in text for text in self.problems),
             "work lost, median s": round(statistics.median(lost), 2) if lost else None,
             "work lost, most s": round(max(lost), 2) if lost else None,
+            "changes of the library": sum(len(kill.changes) for kill in self.kills),
             "indices completed": self.completed,
             "problems": len(self.problems),
         }
@@ -141,7 +147,7 @@ class _Writer:
         self.process.wait()
 
 
-def examine(index: str, before: frozenset[str] = frozenset()) -> Content:
+def examine(index: str, before: frozenset[tuple[str, str]] = frozenset()) -> Content:
     """Open an index and return what it holds and what is wrong with it; ``before`` is what it must hold."""
     try:
         found = ShapeIndex.open(index)
@@ -153,26 +159,34 @@ def examine(index: str, before: frozenset[str] = frozenset()) -> Content:
         return Content(False, frozenset(), frozenset(), () if half_made else (f"does not open: {error}",))
     problems: list[str] = []
     store = found._store
-    names = {
-        name: Counter(map(store.roots().path, store.columns(table, ["path"])["path"].to_pylist()))
-        for name, table in (("models", store.models), ("failures", store.failures))
-    }
-    for name, paths in names.items():
-        problems += [f"twice in the {name}: {path}" for path, count in paths.items() if count > 1]
-    models = names["models"]
-    if len(found) != models.total():
-        problems.append(f"its length is {len(found)}, but there are {models.total()} rows")
-    problems += [f"lost: {path}" for path in sorted(before - set(models))]
-    if models:
-        hits = found.query(min(models), top=1, rerank=0)
-        if len(hits) != 1 or not hits[0].distance <= _SAME:
-            problems.append(f"a query of {min(models)} does not find it")
+    listed = {}
+    for name, table in (("models", store.models), ("failures", store.failures)):
+        columns = store.columns(table, ["path", "content"] if name == "models" else ["path"]).to_pydict()
+        columns["path"] = list(map(store.roots().path, columns["path"]))
+        listed[name] = columns
+        twice = [path for path, count in Counter(columns["path"]).items() if count > 1]
+        problems += [f"twice in the {name}: {path}" for path in twice]
+    paths = listed["models"]["path"]
+    models = frozenset(zip(paths, (content.hex() for content in listed["models"]["content"]), strict=True))
+    if len(found) != len(paths):
+        problems.append(f"its length is {len(found)}, but there are {len(paths)} rows")
+    problems += [f"lost: {path}" for path, _ in sorted(before - models)]
+    if before & models:
+        path = min(path for path, _ in before & models)
+        if not _finds(found, path):
+            problems.append(f"a query of {path} does not find it")
     failures = frozenset((failed.path, failed.reason) for failed in found.failures())
-    return Content(True, frozenset(models), failures, tuple(problems))
+    return Content(True, models, failures, tuple(problems))
+
+
+def _finds(index: ShapeIndex, path: str) -> bool:
+    """Whether a file that is in an index is found there; of several with the same content any will do."""
+    hits = index.query(path, top=1, rerank=0)
+    return len(hits) == 1 and hits[0].distance <= _SAME
 
 
 def run(models: str, kills: int, *, seed: int = 0, writers: int = 1, arguments: Sequence[str] = ()) -> Report:
-    """Kill writers of a library, ``writers`` at once, and say what came of it.
+    """Kill writers of a copy of a library, ``writers`` at once, and say what came of it.
 
     ``arguments`` are further ones of ``fsh3d index``.
 
@@ -180,29 +194,49 @@ def run(models: str, kills: int, *, seed: int = 0, writers: int = 1, arguments: 
         RuntimeError: There is nothing to index, or the undisturbed run fails.
     """
     with tempfile.TemporaryDirectory() as folder:
-        command = [*_COMMAND, "--quiet", *arguments, models]
+        draw = random.Random(seed)
+        library = ChangingLibrary(models, Path(folder, "library"), draw)
+        command = [*_COMMAND, "--quiet", "--prune", *arguments, library.path]
         index, log = f"{folder}/undisturbed", Path(folder, "errors")
         begin = time.perf_counter()
         code = _undisturbed([*command, index], log, None)
         seconds = time.perf_counter() - begin
-        expected = examine(index)
-        if code not in (0, 1) or expected.problems or not expected.models:
-            raise RuntimeError(f"an undisturbed run ends with {code}: {log.read_text()[-500:]} {expected.problems}")
-        report = Report(len(expected.models), len(expected.failures), seconds, writers)
-        draw = random.Random(seed)
+        found = examine(index)
+        if code not in (0, 1) or found.problems or not found.models:
+            raise RuntimeError(f"an undisturbed run ends with {code}: {log.read_text()[-500:]} {found.problems}")
+        identities = library.identities()
+        reasons = {identities[path]: reason for path, reason in found.failures}
+        report = Report(len(found.models), len(found.failures), seconds, writers)
+        report.problems += [f"undisturbed: {text}" for text in _differences(found, _expected(library, reasons))]
+        library.keep_back(Path(folder, "spare"))
         while len(report.kills) < kills:
             index = f"{folder}/index{report.completed}"
-            _one_index([*command, index], kills, draw, report, log)
-            report.problems += [f"complete index: {text}" for text in _differences(examine(index), expected)]
+            _one_index([*command, index], kills, library, draw, report, log)
+            expected = _expected(library, reasons)
+            complete = examine(index, expected.models)
+            report.problems += [f"complete index: {text}" for text in _differences(complete, expected)]
             report.completed += 1
             shutil.rmtree(index)
     return report
 
 
-def _one_index(command: Sequence[str], kills: int, draw: random.Random, report: Report, log: Path) -> None:
-    """Fill one index, with kills, until a writer has come to its end."""
-    there: frozenset[str] = frozenset()
+def _expected(library: ChangingLibrary, reasons: Mapping[Identity, str]) -> Content:
+    """What an index of a library should hold; ``reasons`` why some contents cannot be read."""
+    files = library.identities()
+    models = frozenset((path, identity[0]) for path, identity in files.items() if identity not in reasons)
+    failures = frozenset((path, reasons[identity]) for path, identity in files.items() if identity in reasons)
+    return Content(True, models, failures, ())
+
+
+def _one_index(
+    command: Sequence[str], kills: int, library: ChangingLibrary, draw: random.Random, report: Report, log: Path
+) -> None:
+    """Fill one index, with kills and changes, until a writer has come to its end, and once more."""
+    there: frozenset[tuple[str, str]] = frozenset()
     while len(report.kills) < kills:
+        changes = tuple(library.change())
+        # What is right must stay; a row of a file that has changed may go.
+        there &= {(path, identity[0]) for path, identity in library.identities().items()}
         limit = time.time() + _PATIENCE * report.writers * report.undisturbed_seconds + 60
         moments = [draw.uniform(0, report.undisturbed_seconds) for _ in range(report.writers)]
         running = [_Writer.start(command, moment, log) for moment in moments]
@@ -220,7 +254,8 @@ def _one_index(command: Sequence[str], kills: int, draw: random.Random, report: 
                         report.problems.append("a writer hangs")
                         writer.kill()
                     elif time.time() > writer.moment and len(report.kills) < kills:
-                        there = _kill(writer, command[-1], there, report)
+                        there = _kill(writer, command[-1], there, changes, report)
+                        changes = ()
                     else:
                         continue
                     running.remove(writer)
@@ -228,7 +263,7 @@ def _one_index(command: Sequence[str], kills: int, draw: random.Random, report: 
             for writer in running:
                 writer.kill()
         if ended:
-            return
+            break
     report.require_end(_undisturbed(command, log, _PATIENCE * report.undisturbed_seconds + 60), log)
 
 
@@ -238,7 +273,9 @@ def _undisturbed(command: Sequence[str], log: Path, patience: float | None) -> i
     return done.returncode
 
 
-def _kill(writer: _Writer, index: str, before: frozenset[str], report: Report) -> frozenset[str]:
+def _kill(
+    writer: _Writer, index: str, before: frozenset[tuple[str, str]], changes: tuple[str, ...], report: Report
+) -> frozenset[tuple[str, str]]:
     """Kill a writer, put what is found into the report, and return the models that are there."""
     writer.kill()
     now = time.time()
@@ -247,19 +284,20 @@ def _kill(writer: _Writer, index: str, before: frozenset[str], report: Report) -
         last = max((path.stat().st_mtime for path in Path(index).glob("*.lance/_versions/*")), default=0.0)
         lost = 0.0 if writer.filling_since is None else max(0.0, now - max(last, writer.filling_since))
     found = examine(index, before)
-    kill = Kill(writer.stage, now - writer.started, found.made, len(found.models), lost, found.problems)
+    kill = Kill(writer.stage, now - writer.started, found.made, len(found.models), lost, found.problems, changes)
     report.kills.append(kill)
     number = len(report.kills)
     report.problems += [f"after kill {number}: {text}" for text in found.problems]
-    print(f"kill {number}: {kill.stage}, {kill.seconds:.1f} s, {kill.models} models", *kill.problems, flush=True)
+    about = f"kill {number}: {kill.stage}, {kill.seconds:.1f} s, {kill.models} models after {len(changes)} changes"
+    print(about, *kill.problems, flush=True)
     return found.models
 
 
 def _differences(found: Content, expected: Content) -> list[str]:
     """What a complete index has and should not have, or the other way round."""
     missing, unexpected = expected.models - found.models, found.models - expected.models
-    problems = [*found.problems, *(f"missing: {path}" for path in sorted(missing))]
-    problems += [f"not expected: {path}" for path in sorted(unexpected)]
+    problems = [*found.problems, *(f"missing, or not its content: {path}" for path, _ in sorted(missing))]
+    problems += [f"not expected: {path}" for path, _ in sorted(unexpected)]
     if found.failures != expected.failures:
         problems.append(f"other failures: {sorted(found.failures ^ expected.failures)[:3]}")
     return problems

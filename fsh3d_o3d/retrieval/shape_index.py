@@ -8,31 +8,27 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Literal, get_args
 
-import numpy as np
-
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._printable import printable
-from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.adapters._object_storage import absolute
 from fsh3d_o3d.adapters.geometry import geometry_arrays
 from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.descriptors import SHDOption
+from fsh3d_o3d.retrieval._index_answer import answer
 from fsh3d_o3d.retrieval._index_errors import ShapeIndexError
 from fsh3d_o3d.retrieval._index_export import export_features
-from fsh3d_o3d.retrieval._index_extraction import DescribeFile, Thumbnailer, describe, similarity
+from fsh3d_o3d.retrieval._index_extraction import DescribeFile, Thumbnailer, describe
 from fsh3d_o3d.retrieval._index_filling import Filling, IndexUpdate
 from fsh3d_o3d.retrieval._index_pairs import near_duplicates
 from fsh3d_o3d.retrieval._index_pruning import prune, remove
 from fsh3d_o3d.retrieval._index_results import Hit, IndexedModel, IndexSummary, NearDuplicate
 from fsh3d_o3d.retrieval._index_roots import real_file, real_files, real_folder
 from fsh3d_o3d.retrieval._index_rows import Query
-from fsh3d_o3d.retrieval._index_search import Candidates, IndexSearch
+from fsh3d_o3d.retrieval._index_search import IndexSearch
 from fsh3d_o3d.retrieval._index_store import IndexStore
 from fsh3d_o3d.retrieval._index_summary import summary
-from fsh3d_o3d.retrieval._index_version import TableVersion
 from fsh3d_o3d.retrieval._ray_tasks import run_tasks_on_ray
 from fsh3d_o3d.retrieval.extraction import FailedInput
-from fsh3d_o3d.retrieval.reranking import aligned_distances, mixed_distances
 
 __all__ = [
     "Hit",
@@ -47,7 +43,6 @@ __all__ = [
 Engine = Literal["local", "ray"]
 
 _PRESETS: tuple[Callable[[], SHDOption], ...] = (SHDOption.best, SHDOption.published, SHDOption)
-_HIT_COLUMNS = ["path", "vertices", "triangles", "watertight", "thumbnail"]
 
 
 class ShapeIndex:
@@ -287,66 +282,18 @@ class ShapeIndex:
         else:
             geometry = geometry_arrays(geometry_or_path)[0]
         query = Query.of(describe(geometry, self._option), self._store.basis)
-        return self._store.reading(lambda models: self._answer(models, query, top, rerank))
+        return self._store.reading(lambda models: answer(models, self._search, query, self._store.roots, top, rerank))
 
     def near_duplicates(self, limit: float = 0.05) -> tuple[NearDuplicate, ...]:
         """Return the pairs of models whose features are at most ``limit`` apart, closest first.
 
-        All pairs are compared by short sketches, which lose none that is this near. That takes a minute or so for 10⁵
-        models, and four times as long for twice as many. Each pair is then aligned as it is and mirrored, which takes
-        half a millisecond.
+        All pairs are compared by short sketches, which lose none that is this near: a minute or so for 10⁵ models, and
+        four times as long for twice as many. Each pair is then aligned as it is and mirrored: half a millisecond.
         """
         limit = check.number(limit, "limit", minimum=0, maximum=2)
         return self._store.reading(
             lambda models: near_duplicates(models, self._search, self._option, self._store.roots().path, limit)
         )
-
-    def _answer(self, models: TableVersion, query: Query, top: int, rerank: int) -> tuple[Hit, ...]:
-        candidates = self._search.nearest(models, query, max(top, rerank) if rerank else top)
-        if len(candidates.rows) == 0:
-            return ()
-        aligned, rotations = aligned_distances(query.coefficients, candidates.stored.coefficients)
-        distances = mixed_distances(candidates.distances, aligned) if rerank else candidates.distances
-        order = np.argsort(distances, kind="stable")[:top]
-        return self._hits(models, query, candidates, distances, rotations, order)
-
-    def _hits(
-        self,
-        models: TableVersion,
-        query: Query,
-        candidates: Candidates,
-        distances: Float64Array,
-        rotations: Float64Array,
-        order: Any,
-    ) -> tuple[Hit, ...]:
-        rows = models.checked_rows(candidates.rows[order])
-        # A row's checksum ties its numbers to its path: both are of the row that was ranked.
-        if rows["signature"].to_pylist() != [numbers.tobytes() for numbers in candidates.stored.numbers[order]]:
-            raise ShapeIndexError(f"{models.path}: the index is damaged: rows are not where they should be")
-        table = rows.select(_HIT_COLUMNS).to_pydict()
-        roots = self._store.roots()
-        frames = candidates.stored.frames
-        hits = []
-        for place, index in enumerate(order):
-            onto = similarity(query.frame, frames[index], rotations[index])
-            turn = onto[:3, :3] / np.cbrt(np.linalg.det(onto[:3, :3]))
-            for array in (onto, turn):
-                array.setflags(write=False)
-            hits.append(
-                Hit(
-                    path=roots.path(table["path"][place]),
-                    distance=float(distances[index]),
-                    rank=place + 1,
-                    rotation=turn,
-                    transformation=onto,
-                    feature_distance=float(candidates.distances[index]),
-                    vertices=table["vertices"][place],
-                    triangles=table["triangles"][place],
-                    watertight=table["watertight"][place],
-                    thumbnail=table["thumbnail"][place],
-                )
-            )
-        return tuple(hits)
 
 
 def _warn_of(kept: FailedInput) -> None:
