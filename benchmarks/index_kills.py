@@ -30,13 +30,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from benchmarks._changing_library import ChangingLibrary, Identity
-from fsh3d_o3d.retrieval.library_files import library_files
-from fsh3d_o3d.retrieval.shape_index import ShapeIndex, ShapeIndexError
+from fsh3d_o3d.index.library_files import library_files
+from fsh3d_o3d.index.shape_index import ShapeIndex, ShapeIndexError
 
 Stage = Literal["start-up", "filling", "end"]
 
 _COMMAND = (sys.executable, "-c", "import sys; from fsh3d_o3d.cli import main; sys.exit(main())", "index")
-_WORKER = b"fsh3d_o3d.retrieval.worker_pool"  # in its command line
+_WORKER = b"fsh3d_o3d.jobs.worker_pool"  # in its command line
 _LOOK = 0.05  # seconds between two looks at the writers
 _SAME = 0.05  # distance of a model from its stored self: rounding makes a hundredth
 _PATIENCE = 20.0  # times an undisturbed run, before a writer counts as one that hangs

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from fsh3d_o3d import _imports
-from tests.retrieval.mesh_files import write_box
+from tests.jobs.mesh_files import write_box
 
 ROOT = Path(__file__).parents[1]
 SAMPLES = ROOT / "samples"
@@ -33,10 +33,10 @@ PROGRAM = """
 import os, sys
 start, before = os.getcwd(), list(sys.path)
 sys.path[:] = [entry for entry in before if entry and os.path.realpath(entry) != start]
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
+from fsh3d_o3d.files.reading import read_geometry_arrays
 from fsh3d_o3d._imports import import_installed
-from fsh3d_o3d.retrieval import extract_descriptors
-from tests.retrieval.toys import ToyDescriptor
+from fsh3d_o3d.jobs.extraction import extract_descriptors
+from tests.jobs.toys import ToyDescriptor
 sys.path[:] = before
 if __name__ == "__main__":
     assert len(read_geometry_arrays("box.off").vertices) == 8
@@ -143,7 +143,7 @@ def test_a_removed_working_folder(tmp_path, monkeypatch):
 def test_a_users_own_module_is_found_by_the_workers_but_stands_in_for_none(library, tmp_path):
     """A descriptor in a file beside the notebook: its folder comes last."""
     (library / "mine.py").write_text(
-        "from tests.retrieval.toys import ToyDescriptor\nclass Mine(ToyDescriptor):\n    pass\n"
+        "from tests.jobs.toys import ToyDescriptor\nclass Mine(ToyDescriptor):\n    pass\n"
     )
     program = PROGRAM.replace('if __name__ == "__main__":', "import mine; ToyDescriptor = mine.Mine\nif True:")
     done = subprocess.run(

@@ -16,8 +16,8 @@ from benchmarks import index_kills
 from benchmarks._changing_library import ChangingLibrary, identity_of
 from benchmarks.index_kills import Content, examine
 from fsh3d_o3d.cli import main
-from fsh3d_o3d.retrieval.shape_index import ShapeIndex
-from tests.retrieval.index_cases import write_library
+from fsh3d_o3d.index.shape_index import ShapeIndex
+from tests.index.index_cases import write_library
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
-from fsh3d_o3d.sphere.icosphere import icosphere
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.sphere.icosahedron import icosphere
 
 VERTICES, TRIANGLES = icosphere(2)
 GRID = fsh.fibonacci_grid(6 * 4**2)

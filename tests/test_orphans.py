@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
-from tests.adapters.mutations import valid_files
+from fsh3d_o3d.files.reading import read_geometry_arrays
+from tests.files.mutations import valid_files
 from tests.processes import children_of, is_alive, wait_until
 
 ROOT = Path(__file__).parents[1]
@@ -22,8 +22,8 @@ COMMAND = "import sys; from fsh3d_o3d.cli import main; sys.exit(main())"
 # A regular expression that takes for ever, in native code that does not let go of the interpreter.
 ENDLESS = "import re; re.match(r'(a+)+$', 'a' * 60 + 'b')"
 READING = """
-from fsh3d_o3d.adapters import _reader_process as p
-import fsh3d_o3d.cli._process as c, sys
+from fsh3d_o3d.files import reader_process as _reader_process as p
+import fsh3d_o3d.cli.process as c, sys
 reader = p.ReaderProcess("tests.test_orphans:endless")
 try:
     with c.terminable():
@@ -105,7 +105,7 @@ def test_nothing_half_written_is_left(tmp_path):
 
 
 def test_the_reader_outlives_the_thread_that_started_it(tmp_path):
-    from fsh3d_o3d.adapters import reading
+    from fsh3d_o3d.files import reading
 
     path = tmp_path / "a.off"
     path.write_bytes(valid_files()["plain.off"].data)
@@ -123,7 +123,7 @@ def test_a_forked_process_does_not_keep_the_reader_of_its_parent_alive(tmp_path)
     path = tmp_path / "a.off"
     path.write_bytes(valid_files()["plain.off"].data)
     program = (
-        "import os, sys, signal; from fsh3d_o3d.adapters import reading\n"
+        "import os, sys, signal; from fsh3d_o3d.files import reading\n"
         "reading.read_geometry_arrays(sys.argv[1]); reader = reading._reader._process.pid\n"
         "read, write = os.pipe()\n"
         "child = os.fork()\n"

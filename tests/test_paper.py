@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fsh3d_o3d.adapters.geometry import MeshArrays
-from fsh3d_o3d.adapters.surface_error import surface_error
-from fsh3d_o3d.sphere import icosphere
+from fsh3d_o3d.geometry.arrays import MeshArrays
+from fsh3d_o3d.geometry.surface_comparison import surface_error
+from fsh3d_o3d.sphere.icosahedron import icosphere
 from tests.scripts import run_script
 
 ROOT = Path(__file__).parents[1]

@@ -17,11 +17,11 @@ from typing import NoReturn
 from fsh3d_o3d._imports import only_installed
 from fsh3d_o3d._printable import printable
 from fsh3d_o3d._version import __version__
-from fsh3d_o3d.adapters._object_storage import require_no_credentials
 from fsh3d_o3d.cli import align, cache, describe, evaluate, index, info, query, reconstruct
-from fsh3d_o3d.cli._console import error_line, say
-from fsh3d_o3d.cli._process import TerminatedError, open_standard_streams, terminable
+from fsh3d_o3d.cli.console import error_line, say
+from fsh3d_o3d.cli.process import TerminatedError, open_standard_streams, terminable
 from fsh3d_o3d.errors import ConvergenceWarning, GeometryReadWarning, QuadratureWarning
+from fsh3d_o3d.files.object_storage import require_no_credentials
 
 __all__ = ["main"]
 

@@ -10,16 +10,12 @@ import numpy as np
 
 from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
-from fsh3d_o3d.adapters.writing import (
-    WRITABLE_CLOUD_FORMATS,
-    WRITABLE_MESH_FORMATS,
-    write_geometry,
-)
-from fsh3d_o3d.cli._console import Progress, print_json, say
-from fsh3d_o3d.cli._targets import checked_targets
-from fsh3d_o3d.registration import (
+from fsh3d_o3d.cli.console import Progress, print_json, say
+from fsh3d_o3d.cli.targets import checked_targets
+from fsh3d_o3d.files.reading import read_geometry_arrays
+from fsh3d_o3d.files.writing import WRITABLE_CLOUD_FORMATS, WRITABLE_MESH_FORMATS, write_geometry
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.registration.register import (
     SphericalRegistrationOption,
     SphericalRegistrationResult,
     registration_spherical,

@@ -6,13 +6,13 @@ import argparse
 import time
 from typing import Any
 
-from fsh3d_o3d.cli._console import print_json, say
-from fsh3d_o3d.cli._passed_over import in_brackets, other_formats, passed_over
+from fsh3d_o3d.cli.console import print_json, say
 from fsh3d_o3d.cli.describe import SHD_OPTIONS
-from fsh3d_o3d.retrieval._index_roots import real_folder
-from fsh3d_o3d.retrieval.extraction import FailedInput
-from fsh3d_o3d.retrieval.library_files import scan_library
-from fsh3d_o3d.retrieval.shape_index import ShapeIndex
+from fsh3d_o3d.cli.passed_over import in_brackets, other_formats, passed_over
+from fsh3d_o3d.index.library_files import scan_library
+from fsh3d_o3d.index.roots import real_folder
+from fsh3d_o3d.index.shape_index import ShapeIndex
+from fsh3d_o3d.jobs.extraction import FailedInput
 
 
 def add_parser(commands: Any) -> None:

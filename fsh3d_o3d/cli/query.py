@@ -7,13 +7,13 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
-from fsh3d_o3d.cli._console import error_line, print_json, say
-from fsh3d_o3d.cli._passed_over import in_brackets
-from fsh3d_o3d.cli._targets import checked_targets
-from fsh3d_o3d.retrieval.library_files import LibraryScan, is_folder, scan_library
-from fsh3d_o3d.retrieval.shape_index import Hit, ShapeIndex
+from fsh3d_o3d.cli.console import error_line, print_json, say
+from fsh3d_o3d.cli.passed_over import in_brackets
+from fsh3d_o3d.cli.targets import checked_targets
+from fsh3d_o3d.files.reading import read_geometry_arrays
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.index.library_files import LibraryScan, is_folder, scan_library
+from fsh3d_o3d.index.shape_index import Hit, ShapeIndex
 
 _Found = list[tuple[str, MeshArrays | PointArrays, tuple[Hit, ...]]]
 

@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 
 from fsh3d_o3d._atomic import atomic_write_bytes
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays, open3d_mesh
-from fsh3d_o3d.adapters.mesh_measures import measure_mesh
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
-from fsh3d_o3d.adapters.surface_error import SurfaceError, surface_error, vertex_distances
-from fsh3d_o3d.adapters.writing import WRITABLE_MESH_FORMATS, write_geometry
-from fsh3d_o3d.cli._console import Progress, add_output_options, print_json, say
-from fsh3d_o3d.cli._methods import Encoded, Shape, add_method_options, checked_bandwidth, encoded, repaired
-from fsh3d_o3d.cli._targets import checked_targets, level_path
-from fsh3d_o3d.shapes import ConformalShape
-from fsh3d_o3d.sphere import degree_energies, heat_filter
+from fsh3d_o3d.cli.console import Progress, add_output_options, print_json, say
+from fsh3d_o3d.cli.methods import Encoded, Shape, add_method_options, checked_bandwidth, encoded, repaired
+from fsh3d_o3d.cli.targets import checked_targets, level_path
+from fsh3d_o3d.files.reading import read_geometry_arrays
+from fsh3d_o3d.files.writing import WRITABLE_MESH_FORMATS, write_geometry
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, open3d_mesh
+from fsh3d_o3d.geometry.measures import measure_mesh
+from fsh3d_o3d.geometry.surface_comparison import SurfaceError, surface_error, vertex_distances
+from fsh3d_o3d.shapes.conformal import ConformalShape
+from fsh3d_o3d.sphere.coefficients import degree_energies, heat_filter
 
 
 def add_parser(commands: Any) -> None:

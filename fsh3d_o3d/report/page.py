@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d._validation import Float64Array, real_array
 from fsh3d_o3d._version import __version__
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays, geometry_arrays
-from fsh3d_o3d.report._colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, color_stops, css_color, error_colors
-from fsh3d_o3d.report._display import Displayed, common_frame, displayed, geometry_json, packed, shaded_points
-from fsh3d_o3d.report._figures import FigureValue, figure_rows, percent_text
-from fsh3d_o3d.report._html import document, escaped, png_source, table
-from fsh3d_o3d.report._view import DEFAULT_DIRECTION
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, geometry_arrays
+from fsh3d_o3d.report.colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, color_stops, css_color, error_colors
+from fsh3d_o3d.report.display import Displayed, common_frame, displayed, geometry_json, packed, shaded_points
+from fsh3d_o3d.report.figures import FigureValue, figure_rows, percent_text
+from fsh3d_o3d.report.html import document, escaped, png_source, table
 from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail, side_by_side
+from fsh3d_o3d.report.view import DEFAULT_DIRECTION
 
 __all__ = ["reconstruction_picture", "write_reconstruction_page"]
 

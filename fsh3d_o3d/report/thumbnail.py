@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, integer, real_array
-from fsh3d_o3d.adapters.geometry import MeshArrays, geometry_arrays, vertex_attributes
-from fsh3d_o3d.report._colors import ORIGINAL_COLOR, error_colors
-from fsh3d_o3d.report._images import encode_png, side_by_side
-from fsh3d_o3d.report._rasterise import mesh_fragments, point_fragments
-from fsh3d_o3d.report._shading import picture
-from fsh3d_o3d.report._view import DEFAULT_DIRECTION, Raster, View
+from fsh3d_o3d.geometry.arrays import MeshArrays, geometry_arrays, vertex_attributes
+from fsh3d_o3d.report.colors import ORIGINAL_COLOR, error_colors
+from fsh3d_o3d.report.images import encode_png, side_by_side
+from fsh3d_o3d.report.rasterise import mesh_fragments, point_fragments
+from fsh3d_o3d.report.shading import picture
+from fsh3d_o3d.report.view import DEFAULT_DIRECTION, Raster, View
 
 __all__ = ["encode_png", "error_colors", "render_thumbnail", "side_by_side"]
 

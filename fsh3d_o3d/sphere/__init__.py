@@ -1,8 +1,6 @@
 """Grids, weights, harmonics, transforms and coefficients on the sphere; no Open3D here."""
 
-from fsh3d_o3d.sphere.aligned_distance import aligned_distance
 from fsh3d_o3d.sphere.analytic_weights import WeightSolution, analytic_weights
-from fsh3d_o3d.sphere.canonical import CanonicalPose
 from fsh3d_o3d.sphere.coefficients import (
     degree_energies,
     filter_coefficients,
@@ -22,11 +20,13 @@ from fsh3d_o3d.sphere.grids import (
     icosahedral_grid,
 )
 from fsh3d_o3d.sphere.harmonics import degrees_and_orders, spherical_harmonics
-from fsh3d_o3d.sphere.icosphere import icosphere
+from fsh3d_o3d.sphere.icosahedron import icosphere
 from fsh3d_o3d.sphere.least_squares import LeastSquaresFit, fit_coefficients
-from fsh3d_o3d.sphere.rotation import reflect_coefficients, rotate_coefficients
-from fsh3d_o3d.sphere.rotation_search import RotationEstimate, estimate_rotation, estimate_rotations
-from fsh3d_o3d.sphere.symmetry import SymmetryAxis, SymmetryPlane, SymmetryReport, find_symmetries
+from fsh3d_o3d.sphere.rotation.aligned_distance import aligned_distance
+from fsh3d_o3d.sphere.rotation.canonical import CanonicalPose
+from fsh3d_o3d.sphere.rotation.rotation import reflect_coefficients, rotate_coefficients
+from fsh3d_o3d.sphere.rotation.rotation_search import RotationEstimate, estimate_rotation, estimate_rotations
+from fsh3d_o3d.sphere.rotation.symmetry import SymmetryAxis, SymmetryPlane, SymmetryReport, find_symmetries
 from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform, evaluate, evaluate_gradient
 from fsh3d_o3d.sphere.weight_cache import clear_weight_cache, weight_cache_directory
 from fsh3d_o3d.sphere.weights import area_weights, driscoll_healy_weights, equal_weights

@@ -23,11 +23,11 @@ from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import MemoryEstimateError, QuadratureWarning
 from fsh3d_o3d.sphere import weight_cache
-from fsh3d_o3d.sphere._threads import resolve_threads, single_threaded_blas
 from fsh3d_o3d.sphere.dense_engine import half_turn_parity
 from fsh3d_o3d.sphere.grids import SphericalGrid, require_grid
 from fsh3d_o3d.sphere.harmonics import analyse_exactly, spherical_harmonics
 from fsh3d_o3d.sphere.nufft_engine import NufftEngine, analyse_directly
+from fsh3d_o3d.sphere.threads import resolve_threads, single_threaded_blas
 
 __all__ = ["WeightSolution", "analytic_weights"]
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, FloatArray, IntArray
-from fsh3d_o3d.sphere._threads import resolve_threads, run_all, single_threaded_blas
 from fsh3d_o3d.sphere.grids import SphericalGrid
 from fsh3d_o3d.sphere.harmonics import MAXIMUM_RECURSION, degrees_and_orders, harmonics_by_degree
+from fsh3d_o3d.sphere.threads import resolve_threads, run_all, single_threaded_blas
 
 # Functions and columns per matrix product. Fixed, so that workspaces stay small and results do not depend on threads.
 _CHUNK = 64

@@ -16,7 +16,7 @@ import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.sphere.icosphere import icosphere
+from fsh3d_o3d.sphere.icosahedron import icosphere
 
 __all__ = [
     "SphericalGrid",

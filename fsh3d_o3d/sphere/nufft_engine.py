@@ -17,9 +17,9 @@ import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, FloatArray
-from fsh3d_o3d.sphere._threads import resolve_threads, run_all
 from fsh3d_o3d.sphere.conventions import packed_layout
 from fsh3d_o3d.sphere.grids import SphericalGrid
+from fsh3d_o3d.sphere.threads import resolve_threads, run_all
 
 _TOLERANCE = {np.dtype(np.float64).str: 3e-13, np.dtype(np.float32).str: 2e-6}
 # A single function on fewer points, or on fewer for its bandwidth, is not split: each block repeats the part of the

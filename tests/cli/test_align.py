@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
-from fsh3d_o3d.adapters.mesh_measures import measure_mesh
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
-from fsh3d_o3d.adapters.writing import write_geometry
 from fsh3d_o3d.cli import main
 from fsh3d_o3d.cli.align import transformed
+from fsh3d_o3d.files.reading import read_geometry_arrays
+from fsh3d_o3d.files.writing import write_geometry
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry.measures import measure_mesh
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 HORN = SAMPLES / "horn.off"

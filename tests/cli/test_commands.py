@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d.adapters.mesh_measures import measure_mesh
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.cli import main
+from fsh3d_o3d.files.reading import read_geometry_arrays
+from fsh3d_o3d.geometry.measures import measure_mesh
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 
@@ -71,7 +71,7 @@ def test_reconstruct_of_a_cloud_with_noise_outliers_and_a_hole(tmp_path, capsys)
     figures = json.loads(capsys.readouterr().out)
     assert figures["closed"]
     truth = read_geometry_arrays(SAMPLES / "bennu_like.ply")
-    from fsh3d_o3d.adapters.surface_error import surface_error
+    from fsh3d_o3d.geometry.surface_comparison import surface_error
 
     error = surface_error(truth, read_geometry_arrays(tmp_path / "cloud.ply")).relative()
     # Boulders beyond degree 24 and the filled hole; the cloud's own noise is 0.3 % of the diagonal.
@@ -212,7 +212,7 @@ def test_help_and_version(capsys):
 def test_cache_is_shown_and_cleared(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("FSH3D_CACHE_DIR", str(tmp_path))
     arguments = ["reconstruct", str(SAMPLES / "gem.stl"), str(tmp_path / "g.ply"), "--bandwidth", "7", "--quiet"]
-    from fsh3d_o3d.sphere import clear_weight_cache
+    from fsh3d_o3d.sphere.weight_cache import clear_weight_cache
 
     clear_weight_cache()
     assert main(arguments) == 0

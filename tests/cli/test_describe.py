@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.cli import describe
-from fsh3d_o3d.descriptors import SHDOption, shd_descriptor
+from fsh3d_o3d.descriptors.shd import SHDOption, shd_descriptor
+from fsh3d_o3d.files.reading import read_geometry_arrays
 from fsh3d_o3d.shapes.storage import read_arrays
 
 SAMPLES = Path(__file__).parents[2] / "samples"

@@ -7,7 +7,7 @@ import os
 import pytest
 
 from fsh3d_o3d.cli import main
-from tests.adapters.mutations import mutated_files
+from tests.files.mutations import mutated_files
 
 
 @pytest.mark.filterwarnings("ignore::fsh3d_o3d.errors.GeometryReadWarning")  # some are read with a note

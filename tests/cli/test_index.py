@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from fsh3d_o3d.adapters.geometry import MeshArrays
-from fsh3d_o3d.adapters.writing import write_geometry
 from fsh3d_o3d.cli import main
-from tests.adapters.mesh_shapes import screw
-from tests.retrieval.index_cases import write_library
+from fsh3d_o3d.files.writing import write_geometry
+from fsh3d_o3d.geometry.arrays import MeshArrays
+from tests.geometry.mesh_shapes import screw
+from tests.index.index_cases import write_library
 
 HOSTILE = b"<img src=x onerror=alert(1)>'\"\n\x1b[31m\xff.off"
 

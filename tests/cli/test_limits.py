@@ -11,12 +11,13 @@ from pathlib import Path
 import pytest
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
 from fsh3d_o3d.cli import main
-from fsh3d_o3d.retrieval import descriptor_cache_path, extract_descriptors
-from fsh3d_o3d.retrieval.shape_index import ShapeIndex
-from tests.retrieval.index_cases import QUICK
-from tests.retrieval.toys import ToyDescriptor
+from fsh3d_o3d.files.reading import read_geometry_arrays
+from fsh3d_o3d.index.shape_index import ShapeIndex
+from fsh3d_o3d.jobs.descriptor_cache import descriptor_cache_path
+from fsh3d_o3d.jobs.extraction import extract_descriptors
+from tests.index.index_cases import QUICK
+from tests.jobs.toys import ToyDescriptor
 
 ROOT = Path(__file__).parents[2]
 GEM = ROOT / "samples" / "gem.stl"

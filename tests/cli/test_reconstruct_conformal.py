@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d.adapters.closing import prepare_closed
-from fsh3d_o3d.adapters.mesh_measures import measure_mesh
-from fsh3d_o3d.adapters.reading import read_geometry_arrays
-from fsh3d_o3d.adapters.writing import write_geometry
 from fsh3d_o3d.cli import main
-from tests.adapters import mesh_shapes as shapes
+from fsh3d_o3d.closing.prepare_closed import prepare_closed
+from fsh3d_o3d.files.reading import read_geometry_arrays
+from fsh3d_o3d.files.writing import write_geometry
+from fsh3d_o3d.geometry.measures import measure_mesh
 from tests.cli.test_commands import SAMPLES, refused
+from tests.geometry import mesh_shapes as shapes
 
 HORN = SAMPLES / "horn.off"
 
@@ -116,7 +116,7 @@ def test_what_cannot_be_mapped_is_named(tmp_path, capsys, mesh, problem):
 @pytest.mark.parametrize(("mesh", "way"), [(TORUS, "carved"), (CLIPPED, "repaired")], ids=["carved", "repaired"])
 def test_repair_helps_and_says_what_changed(tmp_path, capsys, monkeypatch, mesh, way):
     coarse = functools.partial(prepare_closed, resolution=16)  # for speed
-    monkeypatch.setattr("fsh3d_o3d.cli._methods.prepare_closed", coarse)
+    monkeypatch.setattr("fsh3d_o3d.cli.methods.prepare_closed", coarse)
     source, target = tmp_path / "in.ply", tmp_path / "out.ply"
     write_geometry(source, mesh)
     assert conformal(source, target, "--bandwidth", 8, "--repair", "--json") == 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
 
 
 def ball(rings=24, radius=1.0, center=(0.0, 0.0, 0.0)) -> MeshArrays:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
-from fsh3d_o3d.adapters.mesh_measures import area_samples
-from fsh3d_o3d.report._colors import ORIGINAL_COLOR
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry.measures import area_samples
 from fsh3d_o3d.report.alignment import alignment_picture
+from fsh3d_o3d.report.colors import ORIGINAL_COLOR
 
 TETRAHEDRON = MeshArrays(
     np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=float),

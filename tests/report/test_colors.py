@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fsh3d_o3d.report._colors import color_stops, css_color, error_colors, to_linear, to_srgb
+from fsh3d_o3d.report.colors import color_stops, css_color, error_colors, to_linear, to_srgb
 
 
 def cie_lightness(srgb):

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from fsh3d_o3d.adapters._rays import Frame
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
-from fsh3d_o3d.report import _display
-from fsh3d_o3d.report._display import displayed, geometry_json, packed
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry.rays import Frame
+from fsh3d_o3d.report import display as _display
+from fsh3d_o3d.report.display import displayed, geometry_json, packed
 from tests.report.pages import read_page, unpack, write_page
 from tests.report.shapes import ball, ball_points
 

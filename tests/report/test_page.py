@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.report._html import data_block
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.report.html import data_block
 from fsh3d_o3d.report.page import reconstruction_picture
 from tests.report.pages import FIGURES, HOSTILE, Page, check_structure, read_page, unpack, write_page
 from tests.report.shapes import ball, ball_points

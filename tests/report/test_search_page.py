@@ -9,11 +9,11 @@ import re
 import numpy as np
 import pytest
 
-from fsh3d_o3d.adapters.geometry import MeshArrays
-from fsh3d_o3d.adapters.writing import write_geometry
+from fsh3d_o3d.files.writing import write_geometry
+from fsh3d_o3d.geometry.arrays import MeshArrays
+from fsh3d_o3d.index.shape_index import Hit
 from fsh3d_o3d.report.library_thumbnail import library_thumbnail
 from fsh3d_o3d.report.search_page import SearchResult, moved, write_search_page
-from fsh3d_o3d.retrieval.shape_index import Hit
 from tests.report.pages import HOSTILE, read_page, unpack
 from tests.report.shapes import ball, ball_points
 from tests.report.test_page_in_browser import opened

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from fsh3d_o3d._open3d import open3d
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.errors import GeometryError
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
 from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail, side_by_side
 from tests.report.shapes import ball, ball_points, square
 

@@ -11,12 +11,12 @@ import open3d as o3d
 import pytest
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d.adapters.geometry import MeshArrays
-from fsh3d_o3d.adapters.mesh_measures import measure_mesh
-from fsh3d_o3d.adapters.surface_error import surface_error
 from fsh3d_o3d.errors import GeometryError, GeometryReadError, MemoryEstimateError
-from fsh3d_o3d.sphere import evaluate
-from tests.adapters import mesh_shapes as shapes
+from fsh3d_o3d.geometry.arrays import MeshArrays
+from fsh3d_o3d.geometry.measures import measure_mesh
+from fsh3d_o3d.geometry.surface_comparison import surface_error
+from fsh3d_o3d.sphere.transform import evaluate
+from tests.geometry import mesh_shapes as shapes
 
 OCTAHEDRON = MeshArrays(
     np.vstack((np.eye(3), -np.eye(3))),

@@ -9,9 +9,9 @@ import open3d as o3d
 import pytest
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays
-from fsh3d_o3d.adapters.mesh_measures import measure_mesh
 from fsh3d_o3d.errors import GeometryError, NotStarShapedError
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry.measures import measure_mesh
 
 
 def stone(bandwidth=9, amplitude=0.15, seed=3):

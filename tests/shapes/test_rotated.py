@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays, open3d_mesh
-from fsh3d_o3d.adapters.surface_error import surface_error
-from tests.adapters.mesh_shapes import box, sphere, torus
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, open3d_mesh
+from fsh3d_o3d.geometry.surface_comparison import surface_error
+from tests.geometry.mesh_shapes import box, sphere, torus
 
 CENTER = np.array([3.0, -1.0, 2.0])
 

@@ -10,15 +10,15 @@ import open3d as o3d
 import pytest
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d.adapters._iso_surface import zero_surface
-from fsh3d_o3d.adapters.geometry import MeshArrays, PointArrays, open3d_mesh
-from fsh3d_o3d.adapters.mesh_measures import measure_mesh
-from fsh3d_o3d.adapters.surface_error import surface_error
 from fsh3d_o3d.errors import GeometryError, GeometryReadError, MemoryEstimateError
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, open3d_mesh
+from fsh3d_o3d.geometry.measures import measure_mesh
+from fsh3d_o3d.geometry.surface_comparison import surface_error
 from fsh3d_o3d.shapes import storage
-from fsh3d_o3d.shapes._ball import BallFunction
+from fsh3d_o3d.shapes.ball import BallFunction
 from fsh3d_o3d.shapes.shell import ShellShape
-from tests.adapters.mesh_shapes import box, frame, sphere, torus
+from fsh3d_o3d.shells.iso_surface import zero_surface
+from tests.geometry.mesh_shapes import box, frame, sphere, torus
 
 
 def check_closed(mesh, genus):

@@ -11,7 +11,7 @@ import pytest
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d.errors import GeometryReadError
-from fsh3d_o3d.retrieval.descriptor_cache import descriptor_key
+from fsh3d_o3d.jobs.descriptor_cache import descriptor_key
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d.sphere import _threads
+from fsh3d_o3d.sphere import threads as _threads
 
 
 def blas() -> list[int]:

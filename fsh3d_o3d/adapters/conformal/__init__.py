@@ -1,9 +1,0 @@
-"""Sphere maps of closed surfaces of genus 0: conformal, or balanced between angles and areas."""
-
-from __future__ import annotations
-
-from fsh3d_o3d.adapters.conformal._diagnosis import mapping_obstacles
-from fsh3d_o3d.adapters.conformal.conformal_map import ConformalMapOption, conformal_map
-from fsh3d_o3d.adapters.conformal.spherical_map import MapMethod, SphericalMap
-
-__all__ = ["ConformalMapOption", "MapMethod", "SphericalMap", "conformal_map", "mapping_obstacles"]

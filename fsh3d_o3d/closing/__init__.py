@@ -1,0 +1,1 @@
+"""A closed surface of genus 0 for any mesh."""

@@ -1,0 +1,1 @@
+"""Features of shapes that do not depend on pose, size or triangulation, and distances between them."""

@@ -1,0 +1,1 @@
+"""How well a descriptor retrieves: classifications, metrics of the Princeton benchmark, re-ranking by neighbours."""

@@ -1,0 +1,1 @@
+"""Geometry and bytes in files and in object storage: read without trusting them, written whole or not at all."""

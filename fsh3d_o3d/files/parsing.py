@@ -1,0 +1,176 @@
+"""From a file to arrays, in Python and NumPy (private): the table of formats, and the door to it.
+
+No native reader sees the file, but for Draco streams in glTF. The parsers are this package's own because the readers
+at hand are too lenient for untrusted files (a truncated file becomes part of a mesh) or slow to start; trimesh is the
+second opinion in the tests.
+"""
+
+from __future__ import annotations
+
+import errno
+import functools
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from fsh3d_o3d._printable import printable
+from fsh3d_o3d._regular_file import open_regular
+from fsh3d_o3d.errors import GeometryError, GeometryReadError
+from fsh3d_o3d.files.formats.encoding import check_not_a_pointer, plain_text
+from fsh3d_o3d.files.formats.gltf.parse import parse_glb, parse_gltf
+from fsh3d_o3d.files.formats.obj import parse_obj
+from fsh3d_o3d.files.formats.off import parse_off
+from fsh3d_o3d.files.formats.pcd import parse_pcd
+from fsh3d_o3d.files.formats.ply import parse_ply
+from fsh3d_o3d.files.formats.points import parse_pts, parse_xyz, parse_xyzn, parse_xyzrgb
+from fsh3d_o3d.files.formats.source import ReadFile, Source
+from fsh3d_o3d.files.formats.stl import binary_stl_size, has_binary_header, parse_stl
+from fsh3d_o3d.files.object_storage import is_uri, object_content
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+
+Parser = Callable[[Source], MeshArrays | PointArrays]
+
+PARSERS: dict[str, Parser] = {
+    ".off": parse_off,
+    ".obj": parse_obj,
+    ".ply": parse_ply,
+    ".stl": parse_stl,
+    ".glb": parse_glb,
+    ".gltf": parse_gltf,
+    ".xyz": parse_xyz,
+    ".xyzn": parse_xyzn,
+    ".xyzrgb": parse_xyzrgb,
+    ".pts": parse_pts,
+    ".pcd": parse_pcd,
+}
+"""A file's extension, and what turns its content into arrays or raises ``GeometryError`` with the reason."""
+
+_SNIFFED = 4096  # bytes
+_LONGEST_REASON = 400  # characters
+_LONGEST_MESSAGE = 2000  # characters
+_TOO_LITTLE_MEMORY = "needs more memory than the reader is allowed"
+# In this order; looked for only where the parser that the extension names has failed.
+_SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
+    ("PLY", re.compile(rb"ply[ \t]*[\r\n]")),
+    ("GLB", re.compile(rb"glTF")),
+    ("PNG", re.compile(rb"\x89PNG")),
+    ("JPEG", re.compile(rb"\xff\xd8\xff")),
+    ("PDF", re.compile(rb"%PDF")),
+    ("ZIP", re.compile(rb"PK\x03\x04")),
+    ("GZIP", re.compile(rb"\x1f\x8b")),
+    ("HTML", re.compile(rb"\s*<(!doctype html|html)", re.IGNORECASE)),
+    ("PCD", re.compile(rb"# \.PCD|VERSION[ \t]+\.?\d|FIELDS[ \t]+x")),
+    ("OFF", re.compile(rb"\s*(?:ST|[CN4n])*OFF[\s\d]")),
+    ("GLTF", re.compile(rb'\s*\{(?s:.){0,2000}"(asset|accessors|meshes)"')),
+    ("STL", re.compile(rb"\s*solid\b(?s:.){0,400}\bfacet\b", re.IGNORECASE)),
+    (
+        "the answer of a web server",
+        re.compile(
+            rb"\s*(HTTP/\d|([45]\d\d:?\s+)?(not found|forbidden|(access )?denied|unauthori[sz]ed|gone)\b)", re.I
+        ),
+    ),
+    ("XML", re.compile(rb"\s*<(\?xml|[a-z!]\S*[ >])", re.IGNORECASE)),
+    ("JSON", re.compile(rb'\s*(\{\s*["}]|\[\s*[\[{"\d-])')),
+    ("OBJ", re.compile(rb"(?s:.){0,3000}?(^|[\r\n])(v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]|mtllib )")),
+)
+
+
+def read_file(path: str) -> ReadFile:
+    """Return a file, read in this process.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        GeometryReadError: Everything else, in one line with the file's name.
+    """
+    parser_for(path)
+    try:
+        data = file_content(path)
+    except FileNotFoundError:
+        raise FileNotFoundError(errno.ENOENT, "No such file", path) from None
+    except (OSError, GeometryError) as error:
+        raise read_error(path, getattr(error, "strerror", None) or str(error)) from None
+    except MemoryError:
+        raise read_error(path, _TOO_LITTLE_MEMORY) from None
+    return parse_content(path, data)
+
+
+def file_content(path: str) -> bytes:
+    """Return the bytes of a regular file, or of an object in storage.
+
+    Raises:
+        OSError: It is not there or cannot be read.
+        GeometryReadError: It is not a regular file, or holds nothing.
+    """
+    data = object_content(path) if is_uri(path) else _regular_content(path)
+    if not data.strip(b"\0 \t\r\n"):
+        raise GeometryReadError("the file is empty" if not data else "the file holds nothing but blanks")
+    return data
+
+
+def parse_content(path: str, data: bytes) -> ReadFile:
+    """Return what the bytes of a file hold; its name tells the format, and where to look for what lies beside it.
+
+    Raises:
+        GeometryReadError: They cannot be, in one line with the file's name.
+    """
+    parser = parser_for(path)
+    source = Source(data, functools.partial(_content_beside, path))
+    try:
+        check_not_a_pointer(data)
+        # The header of a binary STL may begin with anything, also with the bytes of a byte-order mark.
+        if parser is not parse_glb and not (parser is parse_stl and has_binary_header(data)):
+            source.data = plain_text(source)
+        with np.errstate(all="ignore"):  # what is not finite is an error, not a warning
+            geometry = parser(source)
+    except MemoryError:
+        raise read_error(path, _TOO_LITTLE_MEMORY) from None
+    except GeometryError as error:
+        raise read_error(path, _with_sniffed(path, source.data, str(error))) from None
+    except Exception as error:  # what no parser foresaw in a file is the file's fault for the caller all the same
+        raise read_error(path, f"cannot be parsed ({type(error).__name__}: {error})") from error
+    return ReadFile(geometry, tuple(source.notes), tuple(source.used.values()))
+
+
+def parser_for(path: str) -> Parser:
+    """Return the parser that the extension names, whatever its case."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in PARSERS:
+        named = f"{suffix!r} is not a format that is read" if suffix else "the name has no extension"
+        raise read_error(path, f"{named}; readable are {' '.join(PARSERS)}")
+    return PARSERS[suffix]
+
+
+def read_error(path: str, reason: str) -> GeometryReadError:
+    """Return the error for a file: one line of printable characters, whatever its name and content."""
+    if len(reason) > _LONGEST_REASON:  # a name in a file may be as long as the file
+        reason = f"{reason[:_LONGEST_REASON]}…"
+    return GeometryReadError(printable(f"{path}: {reason}"[:_LONGEST_MESSAGE]))
+
+
+def _content_beside(path: str, name: str) -> bytes:
+    folder = path.rpartition("/")[0] if is_uri(path) else os.path.dirname(path)  # noqa: PTH120 - any bytes
+    try:
+        data = file_content(f"{folder}/{name}" if is_uri(path) else os.path.join(folder, name))  # noqa: PTH118 - same
+        check_not_a_pointer(data)
+    except (OSError, GeometryError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise GeometryReadError(f"it needs the file '{name}' beside it: {reason}") from None
+    return data
+
+
+def _regular_content(path: str) -> bytes:
+    with open_regular(path) as file:
+        return file.read()
+
+
+def _with_sniffed(path: str, data: bytes, reason: str) -> str:
+    own = Path(path).suffix[1:].upper()
+    found = next((name for name, signature in _SIGNATURES if signature.match(data[:_SNIFFED])), None)
+    if found is None and len(data) == binary_stl_size(data):
+        found = "STL"
+    if found is None or found == own or (found, own) == ("JSON", "GLTF"):
+        return reason
+    return f"the content looks like {found}, not {own} ({reason})"

@@ -1,0 +1,65 @@
+"""Geometry into files: whole, or not at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fsh3d_o3d._atomic import atomic_write_bytes
+from fsh3d_o3d.errors import GeometryError
+from fsh3d_o3d.files.serialise import CLOUD_WRITERS, MESH_WRITERS, Surface
+from fsh3d_o3d.geometry.arrays import PointArrays, geometry_arrays, vertex_attributes
+
+WRITABLE_MESH_FORMATS: tuple[str, ...] = tuple(MESH_WRITERS)
+"""Extensions for meshes."""
+WRITABLE_CLOUD_FORMATS: tuple[str, ...] = tuple(CLOUD_WRITERS)
+"""Extensions for point clouds."""
+
+
+def write_geometry(path: str | os.PathLike[str], geometry: Any) -> None:
+    """Write a mesh or a point cloud; the extension names the format.
+
+    Meshes: ``.ply .obj .off`` (float64), ``.stl .glb`` (float32). Points: ``.ply .xyz`` (float64), ``.pcd`` (float32).
+    Vertex normals and colours are kept where the format has a place for them (``.stl`` has none, ``.xyz`` none for
+    colours); texture coordinates and materials are not written. The file appears under its name only when it is
+    complete; on any error what was there before stays.
+
+    Args:
+        path: The file.
+        geometry: Open3D ``TriangleMesh`` or ``PointCloud``, legacy or tensor, or ``MeshArrays`` or ``PointArrays``.
+
+    Raises:
+        ValueError: Unknown extension, or one that cannot hold this kind of geometry, or coordinates beyond float32 in
+            a format that stores float32.
+        TypeError: Not a geometry.
+        GeometryError: Empty, not finite, or with triangles out of range.
+        OSError: The folder does not exist or cannot be written, the disk is full, the path is a folder or a device.
+    """
+    target = Path(path)
+    suffix = target.suffix.lower()
+    if suffix not in MESH_WRITERS and suffix not in CLOUD_WRITERS:
+        raise ValueError(
+            f"{str(target)!r}: cannot write {suffix or 'a file without extension'!r}; meshes go to "
+            f"{' '.join(MESH_WRITERS)}, point clouds to {' '.join(CLOUD_WRITERS)}"
+        )
+    surface = _surface(geometry)
+    writers, what = (CLOUD_WRITERS, "point cloud") if surface.triangles is None else (MESH_WRITERS, "mesh")
+    if suffix not in writers:
+        raise ValueError(f"{str(target)!r}: {suffix} cannot hold a {what}; choose {' '.join(writers)}")
+    atomic_write_bytes(target, writers[suffix](surface))
+
+
+def _surface(geometry: Any) -> Surface:
+    arrays, _ = geometry_arrays(geometry)
+    if isinstance(arrays, PointArrays):
+        surface = Surface(arrays.points, None, arrays.normals, arrays.colors)
+    else:
+        surface = Surface(arrays.vertices, arrays.triangles, *vertex_attributes(geometry))
+    for name in ("normals", "colors"):
+        values = getattr(surface, name)
+        if values is not None and (values.shape != surface.points.shape or not np.isfinite(values).all()):
+            raise GeometryError(f"{name} must be finite and of shape {surface.points.shape}, got {values.shape}")
+    return surface

@@ -1,0 +1,238 @@
+"""Area, volume, centroids and topology of triangle meshes; exact welding; consistent orientation; area samples."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from fsh3d_o3d._validation import Float64Array, IntArray, integer
+from fsh3d_o3d.errors import GeometryError
+from fsh3d_o3d.geometry.arrays import MeshArrays
+from fsh3d_o3d.geometry.rays import Frame
+from fsh3d_o3d.geometry.topology import BoolArray, EdgeTable, components
+
+# A triangle is degenerate when twice its area is below this fraction of its longest edge squared: rounding of float64
+# coordinates near the unit frame's size then leaves no digit of its normal.
+_DEGENERATE = 1e-15
+
+
+@dataclass(frozen=True, eq=False)
+class MeshMeasures:
+    """What a mesh measures and how it hangs together; vertices that no triangle uses are ignored."""
+
+    area: float
+    """Sum of the triangles' areas."""
+    volume: float | None
+    """Signed enclosed volume, positive when faces wind counter-clockwise seen from outside; None where the surface
+    bounds none, that is unless every edge is run through as often in one direction as in the other."""
+    area_centroid: Float64Array
+    """(3,) centroid of the surface."""
+    volume_centroid: Float64Array | None
+    """(3,) centroid of the enclosed solid; None where ``volume`` is None or zero."""
+    diagonal: float
+    """Length of the bounding-box diagonal."""
+    degenerate_triangles: int
+    """Number of triangles without area: repeated or collinear corners."""
+    closed: bool
+    """Every edge belongs to exactly two triangles."""
+    edge_manifold: bool
+    """Every edge belongs to at most two triangles."""
+    vertex_manifold: bool
+    """The triangles at every vertex form one fan, joined by edges."""
+    orientable: bool
+    """Edge-manifold, and the triangles can be turned so that neighbours agree (a Möbius band's cannot)."""
+    consistently_oriented: bool
+    """Edge-manifold, and neighbours already agree."""
+    outward: bool
+    """Closed, consistently oriented and of positive volume."""
+    components: int
+    """Number of parts that share no vertex."""
+    euler_number: int
+    """Vertices − edges + triangles."""
+    genus: int | None
+    """Number of handles; None unless closed, manifold, orientable and of one component."""
+
+
+def measure_mesh(mesh: MeshArrays) -> MeshMeasures:
+    """Measure a mesh as it is indexed; ``weld`` it first where triangles repeat their vertices (STL).
+
+    Sums run in a frame of the mesh's own size, so neither a far-off origin nor extreme units cost digits. Topology
+    counts triangles with a repeated corner as absent.
+
+    Raises:
+        GeometryError: The mesh has no extent, or no triangle with three different corners.
+    """
+    frame, vertices = _unit(mesh)
+    corners = vertices[mesh.triangles]
+    area, area_centroid = _area(corners)
+    table = EdgeTable(_proper(mesh.triangles))
+    volume, volume_centroid = _volume(corners) if table.balanced else (None, None)
+    used = int(np.count_nonzero(_used(table.triangles, len(vertices))))
+    closed = bool((table.faces == 2).all())
+    edge_manifold = bool((table.faces <= 2).all())
+    vertex_manifold = table.fans() == used
+    consistent = edge_manifold and bool(table.opposite(table.pairs()).all())
+    orientable = edge_manifold and (consistent or table.flips() is not None)
+    isolated = len(vertices) - used
+    parts = components(table.ends[:, 0], table.ends[:, 1], len(vertices))[0] - isolated
+    euler = used - len(table.first) + len(table.triangles)
+    simple = closed and vertex_manifold and orientable and parts == 1
+    return MeshMeasures(
+        area=area * frame.scale * frame.scale,
+        volume=None if volume is None else volume * frame.scale * frame.scale * frame.scale,
+        area_centroid=_readonly(frame.from_unit(area_centroid)),
+        volume_centroid=None if volume_centroid is None else _readonly(frame.from_unit(volume_centroid)),
+        diagonal=float(np.linalg.norm([np.ptp(vertices[:, k]) for k in range(3)])) * frame.scale,
+        degenerate_triangles=int(np.count_nonzero(degenerate(corners))),
+        closed=closed,
+        edge_manifold=edge_manifold,
+        vertex_manifold=vertex_manifold,
+        orientable=orientable,
+        consistently_oriented=consistent,
+        outward=closed and consistent and volume is not None and volume > 0,
+        components=parts,
+        euler_number=euler,
+        genus=1 - euler // 2 if simple else None,
+    )
+
+
+def weld(mesh: MeshArrays) -> MeshArrays:
+    """Return the mesh with bit-identical vertices merged, unused ones removed and collapsed triangles left out.
+
+    Vertices and triangles keep their order (a merged vertex stands where its first copy stood).
+
+    Raises:
+        GeometryError: No triangle with three different corners is left.
+    """
+    used = _used(mesh.triangles, len(mesh.vertices))
+    vertices = mesh.vertices[used] + 0.0  # makes −0 and 0 one
+    order = np.lexsort(vertices.T)
+    ordered = vertices[order]
+    new = np.concatenate(([True], (ordered[1:] != ordered[:-1]).any(axis=1)))
+    # lexsort is stable, so the first of each group is the copy with the lowest index.
+    keeper = order[np.flatnonzero(new)[np.cumsum(new) - 1]]
+    first = np.empty(len(vertices), dtype=np.int64)
+    first[order] = keeper
+    kept = first == np.arange(len(vertices))
+    index = (np.cumsum(kept) - 1)[first]
+    place = np.cumsum(used) - 1
+    return MeshArrays(vertices[kept], _proper(index[place[mesh.triangles]]))
+
+
+def oriented(mesh: MeshArrays) -> MeshArrays | None:
+    """Return the mesh with neighbouring triangles wound alike and outward, or None where it cannot be oriented.
+
+    Triangles that already agree with the majority of their component keep their winding, and everything turns over if
+    the volume between the surface and the centre of its box comes out negative, which decides for open surfaces too.
+    Needs shared vertices (``weld``); None where an edge has more than two triangles.
+    """
+    triangles = _proper(mesh.triangles)
+    table = EdgeTable(triangles)
+    flips = table.flips() if (table.faces <= 2).all() else None
+    if flips is None:
+        return None
+    if flips.any():
+        triangles = np.where(flips[:, None], triangles[:, (0, 2, 1)], triangles)
+    if _volume(_unit(mesh)[1][triangles])[0] < 0:
+        triangles = triangles[:, (0, 2, 1)]
+    return mesh if triangles is mesh.triangles else MeshArrays(mesh.vertices, triangles)
+
+
+def enclosed_volume(mesh: MeshArrays) -> float | None:
+    """Return the volume (positive) a mesh encloses after welding and orienting it, or None where it is not closed."""
+    welded = weld(mesh)
+    table = EdgeTable(welded.triangles)
+    if not table.balanced:
+        turned = oriented(welded) if (table.faces == 2).all() else None
+        if turned is None:
+            return None
+        welded = turned
+    frame, vertices = _unit(welded)
+    return abs(_volume(vertices[welded.triangles])[0]) * frame.scale * frame.scale * frame.scale
+
+
+def area_samples(mesh: MeshArrays, count: int, *, seed: int = 0) -> tuple[Float64Array, IntArray]:
+    """Return points (count, 3) spread evenly over the surface's area and the triangle (count,) each lies on.
+
+    One point falls into each of ``count`` equal shares of the area in the order of the triangles; within the triangles
+    they follow a Kronecker sequence. The same seed gives the same points.
+    """
+    count = integer(count, "count", minimum=1)
+    frame, vertices = _unit(mesh)
+    total = np.cumsum(_double_areas(vertices[mesh.triangles]))
+    if total[-1] <= 0:
+        raise GeometryError("the mesh has no area: all its triangles are degenerate")
+    random = np.random.default_rng(integer(seed, "seed", minimum=0))
+    share = (np.arange(count) + random.random(count)) / count
+    triangle = np.minimum(np.searchsorted(total, share * total[-1], side="right"), len(total) - 1)
+    # The plastic number's powers: the Kronecker sequence of lowest discrepancy known in two dimensions.
+    plastic = 1.324717957244746
+    u, v = np.mod(random.random(2)[:, None] + np.arange(count) / np.array([[plastic], [plastic**2]]), 1.0)
+    over = u + v > 1
+    u, v = np.where(over, 1 - u, u)[:, None], np.where(over, 1 - v, v)[:, None]
+    corners = vertices[mesh.triangles[triangle]]
+    points = corners[:, 0] + u * (corners[:, 1] - corners[:, 0]) + v * (corners[:, 2] - corners[:, 0])
+    return frame.from_unit(points), triangle.astype(np.int64)
+
+
+def degenerate(corners: Float64Array) -> BoolArray:
+    """Return which triangles, given as corners (t, 3, 3) of order one, have no area that float64 can tell from zero."""
+    edges = [corners[:, k] - corners[:, k - 1] for k in range(3)]
+    longest = functools.reduce(np.maximum, (np.einsum("ij,ij->i", edge, edge) for edge in edges))
+    return np.asarray(_double_areas(corners) <= _DEGENERATE * longest)
+
+
+def _used(triangles: IntArray, count: int) -> BoolArray:
+    used = np.zeros(count, dtype=np.bool_)
+    used[triangles] = True
+    return used
+
+
+def _unit(mesh: MeshArrays) -> tuple[Frame, Float64Array]:
+    """Return the frame about the vertices in use, and all vertices in it (unused ones at the first one in use)."""
+    used = _used(mesh.triangles, len(mesh.vertices))
+    # An unused vertex may lie anywhere; moved onto a used one it can neither overflow nor widen the frame.
+    vertices = mesh.vertices if used.all() else np.where(used[:, None], mesh.vertices, mesh.vertices[used.argmax()])
+    frame = Frame.around(vertices)
+    return frame, frame.to_unit(vertices)
+
+
+def _proper(triangles: IntArray) -> IntArray:
+    repeated = (
+        (triangles[:, 0] == triangles[:, 1])
+        | (triangles[:, 1] == triangles[:, 2])
+        | (triangles[:, 2] == triangles[:, 0])
+    )
+    if repeated.all():
+        raise GeometryError("the mesh has no area: every triangle repeats a corner")
+    return triangles[~repeated] if repeated.any() else triangles
+
+
+def _double_areas(corners: Float64Array) -> Float64Array:
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", cross, cross)))
+
+
+def _area(corners: Float64Array) -> tuple[float, Float64Array]:
+    weight = _double_areas(corners) / 2
+    area = float(weight.sum())
+    if area <= 0:
+        raise GeometryError("the mesh has no area: all its triangles are degenerate")
+    return area, weight @ corners.mean(axis=1) / area
+
+
+def _volume(corners: Float64Array) -> tuple[float, Float64Array | None]:
+    """Return the sum of the signed tetrahedra over the frame's origin, and the centroid of the solid."""
+    weight = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+    volume = float(weight.sum())
+    # Below the rounding of the sum the solid is flat and has no centroid of its own.
+    if abs(volume) <= 1e-14 * float(np.abs(weight).sum()):
+        return volume, None
+    return volume, weight @ corners.sum(axis=1) / (4 * volume)
+
+
+def _readonly(array: Float64Array) -> Float64Array:
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,68 @@
+"""What a query of an index returns, all of it read from one version (private)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from fsh3d_o3d._validation import IntArray
+from fsh3d_o3d.descriptors.signature_distance import aligned_distances, mixed_distances
+from fsh3d_o3d.index.errors import ShapeIndexError
+from fsh3d_o3d.index.extraction import similarity
+from fsh3d_o3d.index.results import Hit
+from fsh3d_o3d.index.roots import LibraryRoots
+from fsh3d_o3d.index.rows import Query
+from fsh3d_o3d.index.search import Candidates, IndexSearch
+from fsh3d_o3d.index.version import TableVersion
+
+_COLUMNS = ["path", "vertices", "triangles", "watertight", "thumbnail"]
+
+
+def answer(
+    models: TableVersion, search: IndexSearch, query: Query, roots: Callable[[], LibraryRoots], top: int, rerank: int
+) -> tuple[Hit, ...]:
+    """Return the ``top`` models most like a query, of ``rerank`` aligned ones; ``roots`` tells where libraries are."""
+    candidates = search.nearest(models, query, max(top, rerank) if rerank else top)
+    if len(candidates.rows) == 0:
+        return ()
+    aligned, rotations = aligned_distances(query.coefficients, candidates.stored.coefficients)
+    distances = mixed_distances(candidates.distances, aligned) if rerank else candidates.distances
+    order = np.argsort(distances, kind="stable")[:top]
+    table = _rows(models, candidates, order)
+    known = roots()  # after the rows: another writer may have put in both
+    frames = candidates.stored.frames
+    hits = []
+    for place, index in enumerate(order):
+        onto = similarity(query.frame, frames[index], rotations[index])
+        turn = onto[:3, :3] / np.cbrt(np.linalg.det(onto[:3, :3]))
+        for array in (onto, turn):
+            array.setflags(write=False)
+        hits.append(
+            Hit(
+                path=known.path(table["path"][place]),
+                distance=float(distances[index]),
+                rank=place + 1,
+                rotation=turn,
+                transformation=onto,
+                feature_distance=float(candidates.distances[index]),
+                vertices=table["vertices"][place],
+                triangles=table["triangles"][place],
+                watertight=table["watertight"][place],
+                thumbnail=table["thumbnail"][place],
+            )
+        )
+    return tuple(hits)
+
+
+def _rows(models: TableVersion, candidates: Candidates, order: IntArray) -> dict[str, list[Any]]:
+    """What is told of hits, by column."""
+    rows = models.checked_rows(candidates.rows[order])
+    # A row's checksum ties its numbers to its path: both are of the row that was ranked.
+    if rows["signature"].to_pylist() != [numbers.tobytes() for numbers in candidates.stored.numbers[order]]:
+        raise ShapeIndexError(f"{models.path}: the index is damaged: rows are not where they should be")
+    columns: dict[str, list[Any]] = rows.select(
+        ["path", "vertices", "triangles", "watertight", "thumbnail"]
+    ).to_pydict()
+    return columns

@@ -1,0 +1,1 @@
+"""The same work for many files: worker processes that may die, Ray, and a cache of descriptors."""

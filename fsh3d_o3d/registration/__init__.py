@@ -1,0 +1,1 @@
+"""Alignment of one shape onto another from any position."""

@@ -1,0 +1,99 @@
+"""The camera of the thumbnails (private): orthographic, fitted to a bounding sphere.
+
+View space has x to the right, y up, z towards the viewer, and the bounding sphere as its unit sphere. Points go there
+in float64, so that what follows may work in float32 whatever the size and place of the geometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fsh3d_o3d._validation import Float64Array, point
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry.rays import Frame
+
+DEFAULT_DIRECTION = (1.0, -1.5, 0.8)
+"""From the geometry towards the viewer: three quarters from the front, a little from above."""
+_MARGIN = 1.04  # of the bounding sphere in the shorter side of the picture
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A direction to look from and a bounding sphere to fit."""
+
+    frame: Frame
+    """Float64 frame of order one about the geometry."""
+    radius: float
+    """Radius of the bounding sphere about the frame's origin, in the frame."""
+    axes: Float64Array
+    """(3, 3) rows: right, up, towards the viewer."""
+
+    @classmethod
+    def of(cls, geometry: MeshArrays | PointArrays, direction: Any) -> View:
+        """Return the view of a geometry from ``direction`` (3,), z up where that can be told.
+
+        Raises:
+            GeometryError: The geometry has no extent.
+            ValueError: The direction is zero or not finite.
+        """
+        towards = point(direction, "direction")
+        largest = float(np.abs(towards).max())
+        if largest == 0:
+            raise ValueError("direction must not be zero")
+        towards = towards / largest
+        towards /= np.linalg.norm(towards)
+        upright = np.array([0.0, 0.0, 1.0]) if abs(towards[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
+        right = np.cross(upright, towards)
+        right /= np.linalg.norm(right)
+        used = positions(geometry)
+        frame = Frame.around(used)
+        radius = float(np.sqrt(np.square(frame.to_unit(used)).sum(axis=1).max()))
+        return cls(frame=frame, radius=radius, axes=np.stack((right, np.cross(towards, right), towards)))
+
+    def points(self, points: Float64Array) -> Float64Array:
+        """Return points (n, 3) in view space."""
+        return np.asarray(self.frame.to_unit(points) @ self.axes.T / self.radius)
+
+    def directions(self, vectors: Float64Array) -> Float64Array:
+        """Return vectors (n, 3) in view space, unit length; NaN where they have none."""
+        largest = np.abs(vectors).max(axis=1, keepdims=True)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            scaled = vectors / largest  # first, so that the square neither overflows nor vanishes
+            return np.asarray(scaled @ self.axes.T / np.linalg.norm(scaled, axis=1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class Raster:
+    """The pixels that look at view space."""
+
+    width: int
+    """Pixels across."""
+    height: int
+    """Pixels down."""
+
+    @property
+    def scale(self) -> float:
+        """Pixels in a unit of view space."""
+        return min(self.width, self.height) / (2 * _MARGIN)
+
+    def centers(self) -> Float64Array:
+        """Return the pixels' centres (height · width, 2) in view space, rows from the top."""
+        x = (np.arange(self.width) + 0.5 - self.width / 2) / self.scale
+        y = (self.height / 2 - np.arange(self.height) - 0.5) / self.scale
+        return np.stack([axis.ravel() for axis in np.meshgrid(x, y)], axis=1)
+
+    def pixels(self, points: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Return column and row (n,) of points of view space, as fractions of pixels."""
+        return points[:, 0] * self.scale + self.width / 2, self.height / 2 - points[:, 1] * self.scale
+
+
+def positions(geometry: MeshArrays | PointArrays) -> Float64Array:
+    """Return the points, or the vertices that triangles use, (n, 3)."""
+    if isinstance(geometry, PointArrays):
+        return geometry.points
+    used = np.zeros(len(geometry.vertices), dtype=np.bool_)
+    used[geometry.triangles] = True
+    return geometry.vertices if used.all() else geometry.vertices[used]

@@ -1,0 +1,47 @@
+"""Functions on a mapped surface become coefficients: exact samples in Fibonacci directions, then the transform.
+
+Private. Finer sampling does not pay. The piecewise linear functions of a distorted map have energy at all degrees, and
+some of it is taken for that of degrees below b; but with 24b² or 96b² directions the RMS surface error (spot, Homer and
+Max Planck at b = 17, 33, 65) was 0.993 to 1.003 of that with 6b² over the default maps, and 0.98 to 1.02 over conformal
+ones, where a transform at 2b, 4b or 8b truncated to b did the same. What is lost is the detail beyond b.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fsh3d_o3d import _validation as check
+from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d.geometry.rays import Frame
+from fsh3d_o3d.shapes.decoding import moved
+from fsh3d_o3d.sphere.grids import fibonacci_grid, grid_size
+from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform
+from fsh3d_o3d.sphere_map.point_location import locate
+from fsh3d_o3d.sphere_map.spherical_map import SphericalMap
+
+
+def checked_size(bandwidth: int, oversampling: float | None) -> int:
+    """Return the number of directions to sample in, if what they take fits in memory."""
+    size = grid_size(bandwidth, oversampling)
+    check.memory(600.0 * size + 6000.0 * bandwidth**2, f"a map of bandwidth {bandwidth} on {size} directions")
+    return size
+
+
+def transform_map(
+    surface: SphericalMap, values: Mapping[str, Float64Array], bandwidth: int, size: int, threads: int | None
+) -> tuple[Float64Array, dict[str, Float64Array]]:
+    """Return the coefficients of the positions (3, b²), and those (b²,), (k, b²) of values (v,), (v, k) at vertices."""
+    mesh = surface.mesh
+    transform = SphericalHarmonicTransform(bandwidth, grid=fibonacci_grid(size), threads=threads)
+    triangle, weights = locate(surface.positions, mesh.triangles, transform.grid.directions)
+    corners = mesh.triangles[triangle]
+
+    def transformed(at_vertices: Float64Array) -> Float64Array:
+        samples = np.einsum("mk,mk...->...m", weights, at_vertices[corners])
+        return np.asarray(transform.forward(samples), dtype=np.float64)
+
+    frame = Frame.around(mesh.vertices)  # so that neither a far-off origin nor extreme units cost digits
+    positions = moved(transformed(frame.to_unit(mesh.vertices)) * frame.scale, frame.origin)
+    return positions, {name: transformed(array) for name, array in values.items()}

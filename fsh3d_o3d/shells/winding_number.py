@@ -1,0 +1,185 @@
+"""The solid a triangle soup stands for: triangles turned outward, small holes closed, and what is inside (private).
+
+Three steps, each of which leaves a clean mesh alone. Neighbouring triangles are wound alike, patch by patch; a patch
+is turned so that its front is the side that more rays leave for infinity (Takayama et al. 2014, "A simple method for
+correcting facet orientations in polygon meshes based on ray casting"); boundary loops that are small beside their
+patch are closed by a fan. Inside is where the generalised winding number (Jacobson et al. 2013) exceeds one half. It is
+the mean over directions of the signed crossings of a ray, and where the surface is closed any single ray gives it.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsh3d_o3d._open3d import open3d
+from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d.geometry.rays import UnitScene
+from fsh3d_o3d.geometry.topology import BoolArray, EdgeTable, components
+from fsh3d_o3d.sphere.grids import fibonacci_grid
+
+_FAN_SHARE = 0.25  # of a patch's area: larger openings are the shape's own
+_ORIENTATION_RAYS = 40_000
+_MOST_RAYS = 64  # a triangle
+_LIFT = 1e-4  # of rays from the surface they start on, in the unit frame: some hundred float32 steps
+_CLOSED_VOTES, _OPEN_VOTES = 3, 32
+_CHUNK = 2**17
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """Triangles in a unit frame, wound outward, and whether they bound a volume."""
+
+    vertices: Float64Array
+    """(v, 3) positions of order one."""
+    triangles: IntArray
+    """(t, 3) indices, no corner twice."""
+    closed: bool
+    """Every edge runs as often one way as the other: the winding number is a whole number."""
+
+
+def solid_of(vertices: Float64Array, triangles: IntArray) -> Solid:
+    """Return the solid of welded triangles (t, 3) of vertices (v, 3) in a unit frame."""
+    table = EdgeTable(triangles)
+    patch, flips = _patches(table)
+    if flips.any() or not table.balanced or _volumes(vertices, triangles, patch).min() <= 0:
+        triangles = _turned(triangles, flips)
+        triangles = _turned(triangles, _seen_from_behind(vertices, triangles, patch)[patch])
+        vertices, triangles = _with_fans(vertices, triangles, patch)
+        table = EdgeTable(triangles)
+    return Solid(vertices, triangles, table.balanced)
+
+
+def inside(solid: Solid, points: Float64Array) -> BoolArray:
+    """Return which points (n, 3) of the unit frame have a winding number above one half."""
+    scene = _CrossingScene(solid)
+    votes = _CLOSED_VOTES if solid.closed else _OPEN_VOTES
+    # The poles of the grid look along no axis: rays along an axis graze the faces of boxes.
+    directions = fibonacci_grid(votes).directions @ _tilt()
+    result = np.empty(len(points), dtype=np.bool_)
+    for start in range(0, len(points), _CHUNK):
+        part = points[start : start + _CHUNK]
+        counts = np.stack([scene.winding(part, direction) for direction in directions])
+        # A ray through an edge may count it twice or not at all; where all should agree the median forgives one.
+        number = np.median(counts, axis=0) if solid.closed else counts.mean(axis=0)
+        result[start : start + _CHUNK] = number > 0.5
+    return result
+
+
+class _CrossingScene:
+    """Signed crossings of rays with the triangles of a solid."""
+
+    def __init__(self, solid: Solid) -> None:
+        o3d = open3d()
+        self._tensor = o3d.core.Tensor
+        self._scene = o3d.t.geometry.RaycastingScene()
+        self._scene.add_triangles(
+            self._tensor(np.ascontiguousarray(solid.vertices, dtype=np.float32)),
+            self._tensor(np.ascontiguousarray(solid.triangles, dtype=np.uint32)),
+        )
+        self._normals = _normals(solid.vertices, solid.triangles)
+
+    def winding(self, points: Float64Array, direction: Float64Array) -> Float64Array:
+        """Return how often the surface is left minus entered along a ray from each point, (n,)."""
+        rays = np.empty((len(points), 6), dtype=np.float32)
+        rays[:, :3] = points
+        rays[:, 3:] = direction
+        answer = self._scene.list_intersections(self._tensor(rays))
+        sign = np.sign(self._normals @ direction)
+        met = answer["ray_ids"].numpy().astype(np.int64)
+        triangle = answer["primitive_ids"].numpy().astype(np.int64)
+        return np.asarray(np.bincount(met, weights=sign[triangle], minlength=len(points)), dtype=np.float64)
+
+
+def _patches(table: EdgeTable) -> tuple[IntArray, BoolArray]:
+    """The patch (t,) each triangle belongs to, and which (t,) to turn over to wind every patch alike.
+
+    Patches hang together by edges of exactly two triangles. Of the two windings the one that turns over fewer is
+    taken; a patch with one side only (Möbius) stays as it is.
+    """
+    pairs = table.pairs()
+    count = len(table.triangles)
+    one, other = pairs[:, 0] // 3, pairs[:, 1] // 3
+    # Two copies of each triangle, as given and turned over; consistent copies are linked.
+    shift = np.where(table.opposite(pairs), 0, count)
+    number, label = components(
+        np.concatenate((one, one + count)), np.concatenate((other + shift, other + count - shift)), 2 * count
+    )
+    size = np.bincount(label[:count], minlength=number)
+    kept, turned = size[label[:count]], size[label[count:]]
+    flips = (turned > kept) | ((turned == kept) & (label[count:] < label[:count]))
+    patch = np.unique(np.minimum(label[:count], label[count:]), return_inverse=True)[1].reshape(-1)
+    return patch.astype(np.int64), np.asarray(flips)
+
+
+def _seen_from_behind(vertices: Float64Array, triangles: IntArray, patch: IntArray) -> BoolArray:
+    """Which patches (p,) let more rays escape from their backs than from their fronts."""
+    scene = UnitScene(vertices, triangles)
+    normals = _normals(vertices, triangles)
+    area = np.linalg.norm(normals, axis=1)
+    normals = normals / np.maximum(area, 1e-300)[:, None]
+    each = int(np.clip(_ORIENTATION_RAYS // len(triangles), 1, _MOST_RAYS))
+    owner = np.repeat(np.arange(len(triangles)), each)
+    number = np.arange(len(owner))
+    ways = fibonacci_grid(4096).directions[(number * 1597) % 4096]  # coprime: neighbours look far apart
+    ways *= np.where(np.einsum("ij,ij->i", ways, normals[owner]) < 0, -1.0, 1.0)[:, None]
+    # Kronecker sequences with the powers of the plastic number, folded into the triangle.
+    u, v = np.mod(np.outer((0.7548776662466927, 0.5698402909980532), number + 0.5), 1.0)
+    over = u + v > 1
+    u, v = np.where(over, 1 - u, u)[:, None], np.where(over, 1 - v, v)[:, None]
+    first, second, third = (vertices[triangles[owner, k]] for k in range(3))
+    start = first + u * (second - first) + v * (third - first)
+    lift = _LIFT * normals[owner]
+    front = np.isinf(scene.cast(start + lift, ways)[0])
+    back = np.isinf(scene.cast(start - lift, -ways)[0])
+    balance = np.bincount(patch[owner], weights=area[owner] * (front * 1.0 - back))
+    return np.asarray(balance < 0)
+
+
+def _with_fans(vertices: Float64Array, triangles: IntArray, patch: IntArray) -> tuple[Float64Array, IntArray]:
+    """Close boundary loops by fans about their centroids where the fan is small beside the patch."""
+    table = EdgeTable(triangles)
+    border = table.order[table.first[table.faces == 1]]
+    if border.size == 0:
+        return vertices, triangles
+    start, end = triangles.ravel()[border], triangles[:, (1, 2, 0)].ravel()[border]
+    label = components(start, end, len(vertices))[1][start]
+    loop = np.unique(label, return_inverse=True)[1].reshape(-1)
+    length = np.linalg.norm(vertices[end] - vertices[start], axis=1)
+    total = np.bincount(loop, weights=length)
+    middle = (vertices[start] + vertices[end]) / 2
+    tips = np.stack([np.bincount(loop, weights=length * middle[:, k]) / total for k in range(3)], axis=1)
+    fan = np.linalg.norm(np.cross(vertices[start] - tips[loop], vertices[end] - tips[loop]), axis=1)
+    patch_area = np.bincount(patch, weights=np.linalg.norm(_normals(vertices, triangles), axis=1))
+    # A loop may run along several patches; the largest counts.
+    largest = np.zeros(len(total))
+    np.maximum.at(largest, loop, patch_area[patch[border // 3]])
+    small = (np.bincount(loop, weights=fan) <= _FAN_SHARE * largest)[loop]
+    caps = np.column_stack((end, start, len(vertices) + loop))[small]
+    return np.concatenate((vertices, tips)), np.concatenate((triangles, caps))
+
+
+def _turned(triangles: IntArray, flips: NDArray[np.bool_]) -> IntArray:
+    return np.where(flips[:, None], triangles[:, (0, 2, 1)], triangles)
+
+
+def _normals(vertices: Float64Array, triangles: IntArray) -> Float64Array:
+    first, second, third = (vertices[triangles[:, k]] for k in range(3))
+    return np.cross(second - first, third - first)
+
+
+def _volumes(vertices: Float64Array, triangles: IntArray, patch: IntArray) -> Float64Array:
+    """Signed volume (p,) of each patch, times six."""
+    spat = np.einsum("ij,ij->i", vertices[triangles[:, 0]], _normals(vertices, triangles))
+    return np.asarray(np.bincount(patch, weights=spat), dtype=np.float64)
+
+
+@functools.cache
+def _tilt() -> Float64Array:
+    """A fixed rotation with no axis or plane of symmetry in common with usual shapes."""
+    q, r = np.linalg.qr(np.array([[0.41, -0.83, 0.37], [0.62, 0.55, 0.29], [-0.71, 0.13, 0.94]]))
+    rotation: Float64Array = q * np.sign(np.diag(r))
+    return rotation
