@@ -15,10 +15,9 @@ from scipy.spatial.transform import Rotation
 import fsh3d_o3d as fsh
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.files.reading import read_geometry_arrays
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.geometry.measures import area_samples, weld
-from fsh3d_o3d.registration.surface import plain_surface, resolved_surface, shell_coefficients
+from fsh3d_o3d.files import read_geometry_arrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, area_samples, weld
+from fsh3d_o3d.registration import plain_surface, resolved_surface, shell_coefficients
 
 ROOT = Path(__file__).parents[1]
 SAMPLES = ROOT / "samples"

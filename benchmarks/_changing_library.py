@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from fsh3d_o3d.index.library_files import library_files
+from fsh3d_o3d.index import library_files
 
 _SPARE = 10  # one of so many files is kept back, to replace others
 _FOLDERS = 4  # at least, below the library

@@ -24,10 +24,9 @@ from benchmarks._measure import limited
 from benchmarks._table import Cell, Check, Column, Row, Table
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, FloatArray
-from fsh3d_o3d.descriptors.library import SHDDescriptor
-from fsh3d_o3d.files.reading import read_geometry_arrays
-from fsh3d_o3d.geometry.arrays import MeshArrays
-from fsh3d_o3d.geometry.measures import area_samples
+from fsh3d_o3d.descriptors import SHDDescriptor
+from fsh3d_o3d.files import read_geometry_arrays
+from fsh3d_o3d.geometry import MeshArrays, area_samples
 
 ROOT = Path(__file__).parents[1]
 SAMPLES = ROOT / "samples"

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 import fsh3d_o3d as fsh
 from benchmarks._table import Cell, Check, Column, Row, Table
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.files.reading import read_geometry_arrays
-from fsh3d_o3d.geometry.arrays import MeshArrays
+from fsh3d_o3d.files import read_geometry_arrays
+from fsh3d_o3d.geometry import MeshArrays
 
 SAMPLES = Path(__file__).parents[1] / "samples"
 _MODELS = ("gem.stl", "hand.ply", "starfish.ply", "horn.off", "trefoil_knot.ply", "double_torus.off", "bowl.off")

@@ -18,16 +18,22 @@ import numpy as np
 
 from benchmarks._measure import interleave
 from benchmarks._table import Check, Column, Row, Table
-from fsh3d_o3d.descriptors.shd import ShapeSignature, SHDOption, descriptor_distances
-from fsh3d_o3d.descriptors.signature_distance import aligned_distances
+from fsh3d_o3d.descriptors import ShapeSignature, SHDOption, aligned_distances, descriptor_distances
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.files.reading import read_geometry_arrays
-from fsh3d_o3d.index.codec import decoded, encoded
-from fsh3d_o3d.index.extraction import Described, FileState, describe
-from fsh3d_o3d.index.library_files import library_files
-from fsh3d_o3d.index.rows import Query, model_columns
-from fsh3d_o3d.index.search import EXACT_BELOW, IndexSearch
-from fsh3d_o3d.index.store import IndexStore
+from fsh3d_o3d.files import read_geometry_arrays
+from fsh3d_o3d.index import (
+    EXACT_BELOW,
+    Described,
+    FileState,
+    IndexSearch,
+    IndexStore,
+    Query,
+    decoded,
+    describe,
+    encoded,
+    library_files,
+    model_columns,
+)
 
 ROOT = Path(__file__).parents[1]
 SIZES = (907, 10_000, 100_000)

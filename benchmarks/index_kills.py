@@ -30,8 +30,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from benchmarks._changing_library import ChangingLibrary, Identity
-from fsh3d_o3d.index.library_files import library_files
-from fsh3d_o3d.index.shape_index import ShapeIndex, ShapeIndexError
+from fsh3d_o3d.index import ShapeIndex, ShapeIndexError, library_files
 
 Stage = Literal["start-up", "filling", "end"]
 

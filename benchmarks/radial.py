@@ -24,7 +24,7 @@ from benchmarks._cases import fibonacci_case
 from benchmarks._measure import interleave
 from benchmarks._table import Cell, Check, Column, Curve, Plot, Row, Table
 from fsh3d_o3d._validation import Float64Array, FloatArray
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 CloudMethod = Literal["least_squares", "resample"]
 
@@ -73,9 +73,8 @@ _QUICK_CLOUDS = (_CloudCase("3e3, hole of 25°", 3_000, hole=True, inside=0.05),
 
 
 def _meshes(cases: tuple[tuple[str, int], ...], samples: int) -> Table:
-    from fsh3d_o3d.files.reading import read_geometry_arrays
-    from fsh3d_o3d.geometry.surface_comparison import surface_error
-    from fsh3d_o3d.geometry.triangulation import sphere_mesh
+    from fsh3d_o3d.files import read_geometry_arrays
+    from fsh3d_o3d.geometry import sphere_mesh, surface_error
 
     rows = []
     for name, b in cases:
@@ -230,13 +229,13 @@ def _cloud(case: _CloudCase, truth: Float64Array) -> Float64Array:
 
 
 def _encoded(plan: fsh.SphericalHarmonicTransform, mesh: MeshArrays) -> FloatArray:
-    from fsh3d_o3d.radial.mesh import sample_radial
+    from fsh3d_o3d.radial import sample_radial
 
     return plan.forward(sample_radial(mesh, plan.grid.directions, np.zeros(3)).radii)
 
 
 def _fitted(points: Float64Array, bandwidth: int, method: CloudMethod) -> Float64Array:
-    from fsh3d_o3d.radial.cloud import fit_radial_cloud
+    from fsh3d_o3d.radial import fit_radial_cloud
 
     return fit_radial_cloud(PointArrays(points), bandwidth, np.zeros(3), method=method).coefficients
 

@@ -19,8 +19,7 @@ from benchmarks._measure import limited
 from benchmarks._table import Cell, Check, Column, Row, Table
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.geometry.measures import area_samples
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, area_samples
 
 _VOXEL = 0.02  # of the diagonal; of 0.05, 0.03 and 0.02 the best for RANSAC, 0.01 took seconds a pair
 _PEER_POINTS = 8000

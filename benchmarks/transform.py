@@ -23,7 +23,7 @@ from benchmarks._cases import (
 )
 from benchmarks._measure import interleave, limited
 from benchmarks._table import Cell, Check, Column, Curve, Plot, Row, Table
-from fsh3d_o3d.sphere.engines import EnginePair
+from fsh3d_o3d.sphere import EnginePair
 
 Direction = Literal["forward", "inverse"]
 

@@ -20,8 +20,7 @@ import open3d as o3d
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d._atomic import atomic_write_bytes
-from fsh3d_o3d.report.alignment import alignment_picture
-from fsh3d_o3d.report.thumbnail import encode_png
+from fsh3d_o3d.report import alignment_picture, encode_png
 
 SAMPLES = Path(__file__).parents[1] / "samples"
 ICP = o3d.pipelines.registration

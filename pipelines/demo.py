@@ -18,7 +18,7 @@ import numpy as np
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d.cli import main as fsh3d
-from fsh3d_o3d.report.library_thumbnail import library_thumbnail
+from fsh3d_o3d.report import library_thumbnail
 
 SAMPLES = Path(__file__).parents[1] / "samples"
 

@@ -33,9 +33,9 @@ PROGRAM = """
 import os, sys
 start, before = os.getcwd(), list(sys.path)
 sys.path[:] = [entry for entry in before if entry and os.path.realpath(entry) != start]
-from fsh3d_o3d.files.reading import read_geometry_arrays
+from fsh3d_o3d.files import read_geometry_arrays
 from fsh3d_o3d._imports import import_installed
-from fsh3d_o3d.jobs.extraction import extract_descriptors
+from fsh3d_o3d.jobs import extract_descriptors
 from tests.jobs.toys import ToyDescriptor
 sys.path[:] = before
 if __name__ == "__main__":

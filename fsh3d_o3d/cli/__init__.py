@@ -21,7 +21,7 @@ from fsh3d_o3d.cli import align, cache, describe, evaluate, index, info, query, 
 from fsh3d_o3d.cli.console import error_line, say
 from fsh3d_o3d.cli.process import TerminatedError, open_standard_streams, terminable
 from fsh3d_o3d.errors import ConvergenceWarning, GeometryReadWarning, QuadratureWarning
-from fsh3d_o3d.files.object_storage import require_no_credentials
+from fsh3d_o3d.files import require_no_credentials
 
 __all__ = ["main"]
 

@@ -12,14 +12,9 @@ from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.cli.console import Progress, print_json, say
 from fsh3d_o3d.cli.targets import checked_targets
-from fsh3d_o3d.files.reading import read_geometry_arrays
-from fsh3d_o3d.files.writing import WRITABLE_CLOUD_FORMATS, WRITABLE_MESH_FORMATS, write_geometry
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.registration.register import (
-    SphericalRegistrationOption,
-    SphericalRegistrationResult,
-    registration_spherical,
-)
+from fsh3d_o3d.files import WRITABLE_CLOUD_FORMATS, WRITABLE_MESH_FORMATS, read_geometry_arrays, write_geometry
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
+from fsh3d_o3d.registration import SphericalRegistrationOption, SphericalRegistrationResult, registration_spherical
 
 _WHOLE = 0.9  # of the source near the target; less is another shape, or a part
 
@@ -157,7 +152,6 @@ def _picture(
     source: MeshArrays | PointArrays, target: MeshArrays | PointArrays, aligned: MeshArrays | PointArrays
 ) -> bytes:
     # Imported here: drawing takes time to load that other runs need not spend.
-    from fsh3d_o3d.report.alignment import alignment_picture
-    from fsh3d_o3d.report.thumbnail import encode_png
+    from fsh3d_o3d.report import alignment_picture, encode_png
 
     return encode_png(alignment_picture(source, target, aligned))

@@ -6,8 +6,8 @@ import argparse
 from typing import Any
 
 from fsh3d_o3d.cli.console import say
-from fsh3d_o3d.jobs.descriptor_cache import clear_descriptor_cache, descriptor_cache_path
-from fsh3d_o3d.sphere.weight_cache import clear_weight_cache, weight_cache_directory
+from fsh3d_o3d.jobs import clear_descriptor_cache, descriptor_cache_path
+from fsh3d_o3d.sphere import clear_weight_cache, weight_cache_directory
 
 
 def add_parser(commands: Any) -> None:

@@ -15,9 +15,9 @@ from fsh3d_o3d import _validation as check
 from fsh3d_o3d._printable import encodable, printable
 from fsh3d_o3d.cli.console import Progress, error_line, print_json, say
 from fsh3d_o3d.cli.targets import checked_targets
-from fsh3d_o3d.descriptors.shd import SHDOption, shd_descriptor
-from fsh3d_o3d.files.reading import read_geometry_arrays
-from fsh3d_o3d.shapes.storage import write_arrays
+from fsh3d_o3d.descriptors import SHDOption, shd_descriptor
+from fsh3d_o3d.files import read_geometry_arrays
+from fsh3d_o3d.shapes import write_arrays
 
 SHD_OPTIONS: dict[str, Callable[[], SHDOption]] = {
     "best": SHDOption.best,

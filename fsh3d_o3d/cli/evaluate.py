@@ -11,11 +11,9 @@ from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.cli.console import say
 from fsh3d_o3d.cli.describe import SHD_OPTIONS
 from fsh3d_o3d.cli.targets import checked_targets
-from fsh3d_o3d.descriptors.library import CPSHDDescriptor, SHDDescriptor, on_equiangular_grid
-from fsh3d_o3d.descriptors.shd import CPSHDOption
-from fsh3d_o3d.evaluation.classification import read_classification
-from fsh3d_o3d.evaluation.evaluation import Evaluation, evaluate_models
-from fsh3d_o3d.jobs.extraction import Descriptor
+from fsh3d_o3d.descriptors import CPSHDDescriptor, CPSHDOption, SHDDescriptor, on_equiangular_grid
+from fsh3d_o3d.evaluation import Evaluation, evaluate_models, read_classification
+from fsh3d_o3d.jobs import Descriptor
 
 _COLUMNS = ("nearest neighbour", "first tier", "second tier", "E-measure", "DCG")
 
@@ -85,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
         text = json.dumps({"descriptor": name, **evaluation.as_dict()}, indent=1, allow_nan=False)
         atomic_write_bytes(options.json, f"{text}\n".encode("ascii"))
     if options.plot:
-        from fsh3d_o3d.evaluation.precision_recall_plot import precision_recall_png  # Pillow is not needed otherwise
+        from fsh3d_o3d.evaluation import precision_recall_png  # Pillow is not needed otherwise
 
         title = f"{name}, {evaluation.models} models"
         atomic_write_bytes(options.plot, precision_recall_png(evaluation.metrics.precision_recall, title))

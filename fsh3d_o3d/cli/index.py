@@ -9,10 +9,8 @@ from typing import Any
 from fsh3d_o3d.cli.console import print_json, say
 from fsh3d_o3d.cli.describe import SHD_OPTIONS
 from fsh3d_o3d.cli.passed_over import in_brackets, other_formats, passed_over
-from fsh3d_o3d.index.library_files import scan_library
-from fsh3d_o3d.index.roots import real_folder
-from fsh3d_o3d.index.shape_index import ShapeIndex
-from fsh3d_o3d.jobs.extraction import FailedInput
+from fsh3d_o3d.index import ShapeIndex, real_folder, scan_library
+from fsh3d_o3d.jobs import FailedInput
 
 
 def add_parser(commands: Any) -> None:
@@ -124,6 +122,6 @@ def _print_failed(one: FailedInput) -> None:
 
 
 def _thumbnail() -> Any:
-    from fsh3d_o3d.report.library_thumbnail import library_thumbnail  # Pillow is not needed otherwise
+    from fsh3d_o3d.report import library_thumbnail  # Pillow is not needed otherwise
 
     return library_thumbnail

@@ -11,15 +11,11 @@ from fsh3d_o3d.cli.console import Progress, add_output_options, print_json, say
 from fsh3d_o3d.cli.describe import SHD_OPTIONS
 from fsh3d_o3d.cli.targets import checked_targets
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.files.reading import read_geometry_file
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.geometry.measures import measure_mesh, weld
-from fsh3d_o3d.index.library_files import is_folder
-from fsh3d_o3d.index.shape_index import ShapeIndex
-from fsh3d_o3d.radial.cloud import cloud_center, fit_radial_cloud
-from fsh3d_o3d.radial.mesh import ACCEPTED_DIRECTIONS, HIDDEN_AREA
-from fsh3d_o3d.radial.star import StarReport, star_center
-from fsh3d_o3d.sphere_map.diagnosis import mapping_obstacles
+from fsh3d_o3d.files import read_geometry_file
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, measure_mesh, weld
+from fsh3d_o3d.index import ShapeIndex, is_folder
+from fsh3d_o3d.radial import ACCEPTED_DIRECTIONS, HIDDEN_AREA, StarReport, cloud_center, fit_radial_cloud, star_center
+from fsh3d_o3d.sphere_map import mapping_obstacles
 
 _COARSE_BANDWIDTH = 8
 

@@ -9,14 +9,11 @@ from typing import Any
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d.cli.console import point_or_name, say
-from fsh3d_o3d.closing.prepare_closed import prepare_closed
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.geometry.repair import repair_mesh
-from fsh3d_o3d.radial.mesh import Behaviour
-from fsh3d_o3d.shapes.conformal import ConformalShape
-from fsh3d_o3d.shapes.radial import RadialShape
-from fsh3d_o3d.shapes.shell import ShellShape
-from fsh3d_o3d.sphere_map.conformal_map import ConformalMapOption, conformal_map
+from fsh3d_o3d.closing import prepare_closed
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, repair_mesh
+from fsh3d_o3d.radial import Behaviour
+from fsh3d_o3d.shapes import ConformalShape, RadialShape, ShellShape
+from fsh3d_o3d.sphere_map import ConformalMapOption, conformal_map
 
 Shape = RadialShape | ShellShape | ConformalShape
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fsh3d_o3d._printable import printable
-from fsh3d_o3d.index.library_files import LibraryScan
+from fsh3d_o3d.index import LibraryScan
 
 _NAMED = 10  # extensions; all are in the JSON
 

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Iterator
 from types import FrameType
 
-from fsh3d_o3d.files.child_process import fill_standard_descriptors
+from fsh3d_o3d.files import fill_standard_descriptors
 
 
 class TerminatedError(BaseException):

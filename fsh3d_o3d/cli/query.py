@@ -10,10 +10,9 @@ from typing import Any
 from fsh3d_o3d.cli.console import error_line, print_json, say
 from fsh3d_o3d.cli.passed_over import in_brackets
 from fsh3d_o3d.cli.targets import checked_targets
-from fsh3d_o3d.files.reading import read_geometry_arrays
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.index.library_files import LibraryScan, is_folder, scan_library
-from fsh3d_o3d.index.shape_index import Hit, ShapeIndex
+from fsh3d_o3d.files import read_geometry_arrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
+from fsh3d_o3d.index import Hit, LibraryScan, ShapeIndex, is_folder, scan_library
 
 _Found = list[tuple[str, MeshArrays | PointArrays, tuple[Hit, ...]]]
 
@@ -133,7 +132,7 @@ def _check_report(options: argparse.Namespace) -> None:
 
 
 def _write_report(target: str, found: _Found) -> None:
-    from fsh3d_o3d.report.search_page import SearchResult, write_search_page  # Pillow, not needed otherwise
+    from fsh3d_o3d.report import SearchResult, write_search_page  # Pillow, not needed otherwise
 
     results = [SearchResult(os.path.basename(path), geometry, hits) for path, geometry, hits in found]  # noqa: PTH119
     write_search_page(target, results)

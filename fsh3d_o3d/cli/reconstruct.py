@@ -13,13 +13,18 @@ from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.cli.console import Progress, add_output_options, print_json, say
 from fsh3d_o3d.cli.methods import Encoded, Shape, add_method_options, checked_bandwidth, encoded, repaired
 from fsh3d_o3d.cli.targets import checked_targets, level_path
-from fsh3d_o3d.files.reading import read_geometry_arrays
-from fsh3d_o3d.files.writing import WRITABLE_MESH_FORMATS, write_geometry
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, open3d_mesh
-from fsh3d_o3d.geometry.measures import measure_mesh
-from fsh3d_o3d.geometry.surface_comparison import SurfaceError, surface_error, vertex_distances
-from fsh3d_o3d.shapes.conformal import ConformalShape
-from fsh3d_o3d.sphere.coefficients import degree_energies, heat_filter
+from fsh3d_o3d.files import WRITABLE_MESH_FORMATS, read_geometry_arrays, write_geometry
+from fsh3d_o3d.geometry import (
+    MeshArrays,
+    PointArrays,
+    SurfaceError,
+    measure_mesh,
+    open3d_mesh,
+    surface_error,
+    vertex_distances,
+)
+from fsh3d_o3d.shapes import ConformalShape
+from fsh3d_o3d.sphere import degree_energies, heat_filter
 
 
 def add_parser(commands: Any) -> None:
@@ -139,8 +144,7 @@ def _draw(
     result: Encoded,
 ) -> None:
     # Imported here: plotting libraries take time that other runs need not spend.
-    from fsh3d_o3d.report.page import reconstruction_picture, write_reconstruction_page
-    from fsh3d_o3d.report.thumbnail import encode_png
+    from fsh3d_o3d.report import encode_png, reconstruction_picture, write_reconstruction_page
 
     distances = vertex_distances(mesh, original)
     if options.picture:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from fsh3d_o3d.files.object_storage import absolute, is_uri
+from fsh3d_o3d.files import absolute, is_uri
 
 
 def level_path(output: str, bandwidth: int) -> str:

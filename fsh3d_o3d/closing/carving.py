@@ -15,7 +15,7 @@ from scipy.ndimage import distance_transform_edt
 
 from fsh3d_o3d._validation import IntArray
 from fsh3d_o3d.closing.kuhn_grid import NEIGHBORS, flat_offsets, simple_vertices
-from fsh3d_o3d.geometry.topology import BoolArray
+from fsh3d_o3d.geometry import BoolArray
 
 _BAND = 0.5  # of the distance, in edges of the grid, that is carved at once
 

@@ -15,9 +15,7 @@ from scipy.ndimage import binary_dilation, label
 
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.closing.kuhn_grid import NEIGHBORS, flat_offsets, structure
-from fsh3d_o3d.geometry.closest import closest_points
-from fsh3d_o3d.geometry.rays import UnitScene
-from fsh3d_o3d.geometry.topology import BoolArray
+from fsh3d_o3d.geometry import BoolArray, UnitScene, closest_points
 
 REACH = 2.0
 """Distances are exact below this many grid cells."""

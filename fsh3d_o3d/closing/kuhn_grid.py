@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry.arrays import MeshArrays
-from fsh3d_o3d.geometry.topology import BoolArray, components
+from fsh3d_o3d.geometry import BoolArray, MeshArrays, components
 
 HALF_NEIGHBORS: IntArray = np.array([(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1)])
 """(7, 3) offsets of one half of a vertex' neighbours; the other half are their opposites."""

@@ -15,12 +15,23 @@ from fsh3d_o3d.closing.enclosure import Enclosure, enclose
 from fsh3d_o3d.closing.kuhn_grid import between, structure
 from fsh3d_o3d.closing.snapping import fit
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, geometry_arrays
-from fsh3d_o3d.geometry.measures import MeshMeasures, area_samples, measure_mesh, oriented, weld
-from fsh3d_o3d.geometry.rays import Frame, UnitScene
-from fsh3d_o3d.geometry.repair import repair_mesh
-from fsh3d_o3d.geometry.surface_comparison import vertex_distances
-from fsh3d_o3d.geometry.topology import BoolArray, EdgeTable, components
+from fsh3d_o3d.geometry import (
+    BoolArray,
+    EdgeTable,
+    Frame,
+    MeshArrays,
+    MeshMeasures,
+    PointArrays,
+    UnitScene,
+    area_samples,
+    components,
+    geometry_arrays,
+    measure_mesh,
+    oriented,
+    repair_mesh,
+    vertex_distances,
+    weld,
+)
 
 __all__ = ["Closing", "ClosingMethod", "prepare_closed"]
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry.closest import closest_points
-from fsh3d_o3d.geometry.rays import UnitScene
-from fsh3d_o3d.geometry.topology import BoolArray
+from fsh3d_o3d.geometry import BoolArray, UnitScene, closest_points
 
 _STEPS = 3
 _EVEN = 0.5  # share of the way to the middle of the neighbours, per step

@@ -1,1 +1,31 @@
 """Features of shapes that do not depend on pose, size or triangulation, and distances between them."""
+
+from __future__ import annotations
+
+from fsh3d_o3d.descriptors.library import CPSHDDescriptor, SHDDescriptor, on_equiangular_grid
+from fsh3d_o3d.descriptors.shd import (
+    CPSHDOption,
+    ShapeSignature,
+    SHDOption,
+    compute_shd_feature,
+    compute_signature,
+    descriptor_distances,
+    shd_descriptor,
+)
+from fsh3d_o3d.descriptors.signature_distance import aligned_distances, fits_only_mirrored, mixed_distances
+
+__all__ = [
+    "CPSHDDescriptor",
+    "CPSHDOption",
+    "SHDDescriptor",
+    "SHDOption",
+    "ShapeSignature",
+    "aligned_distances",
+    "compute_shd_feature",
+    "compute_signature",
+    "descriptor_distances",
+    "fits_only_mirrored",
+    "mixed_distances",
+    "on_equiangular_grid",
+    "shd_descriptor",
+]

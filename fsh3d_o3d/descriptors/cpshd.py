@@ -14,15 +14,10 @@ from numpy.typing import NDArray
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.closing.prepare_closed import prepare_closed
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, geometry_arrays
-from fsh3d_o3d.geometry.surface import surface_of
-from fsh3d_o3d.sphere.coefficients import degree_energies
-from fsh3d_o3d.sphere.grids import SphericalGrid
-from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform
-from fsh3d_o3d.sphere.weights import checked_weights
-from fsh3d_o3d.sphere_map.conformal_map import ConformalMapOption, conformal_map
-from fsh3d_o3d.sphere_map.point_location import locate
+from fsh3d_o3d.closing import prepare_closed
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, geometry_arrays, surface_of
+from fsh3d_o3d.sphere import SphericalGrid, SphericalHarmonicTransform, checked_weights, degree_energies
+from fsh3d_o3d.sphere_map import ConformalMapOption, conformal_map, locate
 
 _RECIPE = 1  # raised whenever the same option gives other numbers
 _FRAME_SAMPLES = 256  # of the area; the moments of a mesh are exact without any

@@ -21,9 +21,8 @@ from fsh3d_o3d.descriptors.shd import (
     shd_descriptor,
 )
 from fsh3d_o3d.descriptors.signature_distance import aligned_distances, mixed_distances
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.sphere.grids import equiangular_grid
-from fsh3d_o3d.sphere.weights import driscoll_healy_weights
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
+from fsh3d_o3d.sphere import driscoll_healy_weights, equiangular_grid
 
 __all__ = [
     "CPSHDDescriptor",

@@ -22,13 +22,15 @@ from fsh3d_o3d._validation import Float64Array, FloatArray
 from fsh3d_o3d.descriptors.cpshd import CPSHDOption, compute_cpshd_feature, cpshd_descriptor
 from fsh3d_o3d.descriptors.shd_option import SHDOption
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import geometry_arrays
-from fsh3d_o3d.geometry.surface import Surface, surface_of
-from fsh3d_o3d.shells.shell_fields import ShellSampler
-from fsh3d_o3d.sphere.invariants import energies, gram_powers
-from fsh3d_o3d.sphere.rotation.rotation import rotate_coefficients
-from fsh3d_o3d.sphere.threads import single_threaded_blas
-from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform
+from fsh3d_o3d.geometry import Surface, geometry_arrays, surface_of
+from fsh3d_o3d.shells import ShellSampler
+from fsh3d_o3d.sphere import (
+    SphericalHarmonicTransform,
+    energies,
+    gram_powers,
+    rotate_coefficients,
+    single_threaded_blas,
+)
 
 __all__ = [
     "CPSHDOption",

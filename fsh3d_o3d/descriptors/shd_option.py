@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d import _validation as check
-from fsh3d_o3d.shells.shell_fields import Distance, Route, ShellFields
-from fsh3d_o3d.sphere.grids import SphericalGrid
-from fsh3d_o3d.sphere.weights import checked_weights
+from fsh3d_o3d.shells import Distance, Route, ShellFields
+from fsh3d_o3d.sphere import SphericalGrid, checked_weights
 
 _RECIPE = 1  # raised whenever the same option gives other numbers
 

@@ -17,10 +17,7 @@ from numpy.typing import NDArray
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, FloatArray
-from fsh3d_o3d.sphere.rotation.rotation import parity
-from fsh3d_o3d.sphere.rotation.rotation_matrices import rotate_each
-from fsh3d_o3d.sphere.rotation.rotation_search import estimate_rotations
-from fsh3d_o3d.sphere.threads import resolve_threads, run_all, single_threaded_blas
+from fsh3d_o3d.sphere import estimate_rotations, parity, resolve_threads, rotate_each, run_all, single_threaded_blas
 
 __all__ = ["aligned_distances", "fits_only_mirrored", "mixed_distances"]
 

@@ -1,1 +1,19 @@
 """How well a descriptor retrieves: classifications, metrics of the Princeton benchmark, re-ranking by neighbours."""
+
+from __future__ import annotations
+
+from fsh3d_o3d.evaluation.classification import read_classification
+from fsh3d_o3d.evaluation.evaluation import Evaluation, evaluate_models
+from fsh3d_o3d.evaluation.metrics import RetrievalMetrics, retrieval_metrics
+from fsh3d_o3d.evaluation.model_files import find_models
+from fsh3d_o3d.evaluation.precision_recall_plot import precision_recall_png
+
+__all__ = [
+    "Evaluation",
+    "RetrievalMetrics",
+    "evaluate_models",
+    "find_models",
+    "precision_recall_png",
+    "read_classification",
+    "retrieval_metrics",
+]

@@ -14,7 +14,7 @@ from fsh3d_o3d.evaluation.classification import Classification
 from fsh3d_o3d.evaluation.metrics import RECALL_LEVELS, RetrievalMetrics, retrieval_metrics
 from fsh3d_o3d.evaluation.model_files import ModelFiles, find_models
 from fsh3d_o3d.evaluation.neighborhood import neighborhood_distances
-from fsh3d_o3d.jobs.extraction import Descriptor, FailedInput, extract_descriptors
+from fsh3d_o3d.jobs import Descriptor, FailedInput, extract_descriptors
 
 __all__ = ["Evaluation", "evaluate_models"]
 

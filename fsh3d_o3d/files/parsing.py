@@ -19,17 +19,27 @@ import numpy as np
 from fsh3d_o3d._printable import printable
 from fsh3d_o3d._regular_file import open_regular
 from fsh3d_o3d.errors import GeometryError, GeometryReadError
-from fsh3d_o3d.files.formats.encoding import check_not_a_pointer, plain_text
-from fsh3d_o3d.files.formats.gltf.parse import parse_glb, parse_gltf
-from fsh3d_o3d.files.formats.obj import parse_obj
-from fsh3d_o3d.files.formats.off import parse_off
-from fsh3d_o3d.files.formats.pcd import parse_pcd
-from fsh3d_o3d.files.formats.ply import parse_ply
-from fsh3d_o3d.files.formats.points import parse_pts, parse_xyz, parse_xyzn, parse_xyzrgb
-from fsh3d_o3d.files.formats.source import ReadFile, Source
-from fsh3d_o3d.files.formats.stl import binary_stl_size, has_binary_header, parse_stl
+from fsh3d_o3d.files.formats import (
+    ReadFile,
+    Source,
+    binary_stl_size,
+    check_not_a_pointer,
+    has_binary_header,
+    parse_glb,
+    parse_gltf,
+    parse_obj,
+    parse_off,
+    parse_pcd,
+    parse_ply,
+    parse_pts,
+    parse_stl,
+    parse_xyz,
+    parse_xyzn,
+    parse_xyzrgb,
+    plain_text,
+)
 from fsh3d_o3d.files.object_storage import is_uri, object_content
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 Parser = Callable[[Source], MeshArrays | PointArrays]
 

@@ -28,9 +28,9 @@ from fsh3d_o3d._imports import installed_path
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files.child_process import ChildProcess, end_after
-from fsh3d_o3d.files.formats.source import ReadFile
+from fsh3d_o3d.files.formats import ReadFile
 from fsh3d_o3d.files.parsing import read_error
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 READ_FILE = "fsh3d_o3d.files.parsing:read_file"
 _START_SECONDS = 60.0

@@ -11,7 +11,7 @@ import numpy as np
 from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files.serialise import CLOUD_WRITERS, MESH_WRITERS, Surface
-from fsh3d_o3d.geometry.arrays import PointArrays, geometry_arrays, vertex_attributes
+from fsh3d_o3d.geometry import PointArrays, geometry_arrays, vertex_attributes
 
 WRITABLE_MESH_FORMATS: tuple[str, ...] = tuple(MESH_WRITERS)
 """Extensions for meshes."""

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from fsh3d_o3d._validation import Float64Array, IntArray, integer
 from fsh3d_o3d._validation import directions as checked_directions
-from fsh3d_o3d.sphere.icosahedron import icosphere
+from fsh3d_o3d.sphere import icosphere
 
 __all__ = ["fibonacci_triangulation", "icosphere", "sphere_mesh"]
 

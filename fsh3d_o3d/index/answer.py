@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fsh3d_o3d._validation import IntArray
-from fsh3d_o3d.descriptors.signature_distance import aligned_distances, mixed_distances
+from fsh3d_o3d.descriptors import aligned_distances, mixed_distances
 from fsh3d_o3d.index.errors import ShapeIndexError
 from fsh3d_o3d.index.extraction import similarity
 from fsh3d_o3d.index.results import Hit

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsh3d_o3d.descriptors.shd import SHDOption
+from fsh3d_o3d.descriptors import SHDOption
 
 ALIGNED_DEGREES = 8
 """Degrees below this are kept for alignment."""

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 
 from fsh3d_o3d._printable import without_credentials
-from fsh3d_o3d.files.object_storage import is_uri, storage_error
+from fsh3d_o3d.files import is_uri, storage_error
 
 # What Lance and Arrow raise for data they cannot make sense of; Arrow's own errors are of these, too.
 _OF_LANCE = (ValueError, RuntimeError, OSError, LookupError, ArithmeticError, TypeError, AssertionError)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fsh3d_o3d._atomic import sync_file, sync_folder
 from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d._printable import encodable
-from fsh3d_o3d.descriptors.shd import SHDOption
+from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.index.checksums import require_checksums
 from fsh3d_o3d.index.columns import fixed_lists
 from fsh3d_o3d.index.roots import LibraryRoots

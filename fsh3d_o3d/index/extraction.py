@@ -14,13 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.descriptors.shd import ShapeSignature, SHDOption, compute_signature
+from fsh3d_o3d.descriptors import ShapeSignature, SHDOption, compute_signature
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.files.object_storage import is_uri, list_objects, object_states
-from fsh3d_o3d.files.parsing import file_content, parse_content
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.geometry.measures import weld
-from fsh3d_o3d.geometry.topology import EdgeTable
+from fsh3d_o3d.files import file_content, is_uri, list_objects, object_states, parse_content
+from fsh3d_o3d.geometry import EdgeTable, MeshArrays, PointArrays, weld
 from fsh3d_o3d.index.codec import ALIGNED_DEGREES
 
 Geometry = MeshArrays | PointArrays

@@ -14,14 +14,13 @@ from typing import Any, TypeVar
 from tqdm import tqdm
 
 from fsh3d_o3d._printable import printable
-from fsh3d_o3d.descriptors.shd import SHDOption
+from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.index.extraction import Described, DescribeFile, FileState, identity
 from fsh3d_o3d.index.moves import LibraryMove, ModelRows, moved_libraries, moved_rows
 from fsh3d_o3d.index.roots import LibraryRoots, inside
 from fsh3d_o3d.index.rows import model_columns, moved_columns
 from fsh3d_o3d.index.store import IndexStore
-from fsh3d_o3d.jobs.extraction import FailedInput
-from fsh3d_o3d.jobs.worker_pool import Outcome, run_tasks
+from fsh3d_o3d.jobs import FailedInput, Outcome, run_tasks
 
 Known = TypeVar("Known")
 

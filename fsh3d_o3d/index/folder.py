@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from fsh3d_o3d.files.object_storage import folder_names, is_uri
+from fsh3d_o3d.files import folder_names, is_uri
 from fsh3d_o3d.index.errors import ShapeIndexError
 
 

@@ -13,9 +13,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from fsh3d_o3d._printable import printable
-from fsh3d_o3d.files.object_storage import absolute, is_uri, list_objects, object_states, require_bucket
-from fsh3d_o3d.files.reading import READABLE_FORMATS
-from fsh3d_o3d.jobs.extraction import FailedInput
+from fsh3d_o3d.files import READABLE_FORMATS, absolute, is_uri, list_objects, object_states, require_bucket
+from fsh3d_o3d.jobs import FailedInput
 
 ABSENT = (errno.ENOENT, errno.ENOTDIR)
 """What the system says of a name that leads to nothing. All else, a denied access or a dead disk, is no absence."""

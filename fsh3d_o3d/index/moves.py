@@ -9,8 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.files.object_storage import is_uri, list_objects
-from fsh3d_o3d.files.parsing import file_content
+from fsh3d_o3d.files import file_content, is_uri, list_objects
 from fsh3d_o3d.index.extraction import FileState, has_buffers
 from fsh3d_o3d.index.library_files import ABSENT, missing_files
 from fsh3d_o3d.index.roots import LibraryRoots, inside, library_of

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
-from fsh3d_o3d.descriptors.shd import SHDOption
-from fsh3d_o3d.descriptors.signature_distance import fits_only_mirrored
+from fsh3d_o3d.descriptors import SHDOption, fits_only_mirrored
 from fsh3d_o3d.index.results import NearDuplicate
 from fsh3d_o3d.index.rows import StoredRows, stored_rows
 from fsh3d_o3d.index.search import IndexSearch

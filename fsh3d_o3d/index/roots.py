@@ -11,7 +11,7 @@ import hashlib
 import os
 from collections.abc import Iterable, Iterator, Mapping
 
-from fsh3d_o3d.files.object_storage import absolute, is_uri
+from fsh3d_o3d.files import absolute, is_uri
 from fsh3d_o3d.index.errors import ShapeIndexError
 
 _PREFIX = 9  # bytes: a NUL, with which no path begins, and the library's

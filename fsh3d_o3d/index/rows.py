@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.descriptors.shd import ShapeSignature, SHDOption
+from fsh3d_o3d.descriptors import ShapeSignature, SHDOption
 from fsh3d_o3d.index.codec import decoded, encoded, functions_of, signature_type, sketches
 from fsh3d_o3d.index.columns import fixed_lists
 from fsh3d_o3d.index.errors import ShapeIndexError

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._imports import import_installed
-from fsh3d_o3d.descriptors.shd import SHDOption
+from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.index.checksums import CHECKSUM
 from fsh3d_o3d.index.codec import SKETCH_LENGTH, signature_type
 from fsh3d_o3d.index.columns import fixed_lists, vectors

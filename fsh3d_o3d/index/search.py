@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 
 from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.descriptors.shd import SHDOption
+from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.index.codec import shortened, signed_roots
 from fsh3d_o3d.index.columns import identifiers
 from fsh3d_o3d.index.errors import translated

@@ -10,10 +10,9 @@ from typing import Any, Literal, get_args
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._printable import printable
-from fsh3d_o3d.descriptors.shd import SHDOption
-from fsh3d_o3d.files.object_storage import absolute
-from fsh3d_o3d.files.reading import read_geometry_arrays
-from fsh3d_o3d.geometry.arrays import geometry_arrays
+from fsh3d_o3d.descriptors import SHDOption
+from fsh3d_o3d.files import absolute, read_geometry_arrays
+from fsh3d_o3d.geometry import geometry_arrays
 from fsh3d_o3d.index.answer import answer
 from fsh3d_o3d.index.errors import ShapeIndexError
 from fsh3d_o3d.index.export import export_features
@@ -27,8 +26,7 @@ from fsh3d_o3d.index.rows import Query
 from fsh3d_o3d.index.search import IndexSearch
 from fsh3d_o3d.index.store import IndexStore
 from fsh3d_o3d.index.summary import summary
-from fsh3d_o3d.jobs.extraction import FailedInput
-from fsh3d_o3d.jobs.ray_tasks import run_tasks_on_ray
+from fsh3d_o3d.jobs import FailedInput, run_tasks_on_ray
 
 __all__ = [
     "Hit",

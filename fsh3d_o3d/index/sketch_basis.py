@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.descriptors.shd import SHDOption
-from fsh3d_o3d.geometry.arrays import MeshArrays
+from fsh3d_o3d.descriptors import SHDOption
+from fsh3d_o3d.geometry import MeshArrays
 from fsh3d_o3d.index.codec import SKETCH_LENGTH
 from fsh3d_o3d.index.extraction import describe
-from fsh3d_o3d.jobs.descriptor_cache import CachedDescriptor, DescriptorCache, key_of
-from fsh3d_o3d.sphere.icosahedron import icosphere
+from fsh3d_o3d.jobs import CachedDescriptor, DescriptorCache, key_of
+from fsh3d_o3d.sphere import icosphere
 
 _EXAMPLES = 300
 _TYPICAL_NORM = 8.0  # of a sketch: far from both ends of float16

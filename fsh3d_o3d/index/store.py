@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d._printable import encodable
-from fsh3d_o3d.descriptors.shd import SHDOption
-from fsh3d_o3d.files.object_storage import is_uri, lance_options, list_objects
+from fsh3d_o3d.descriptors import SHDOption
+from fsh3d_o3d.files import is_uri, lance_options, list_objects
 from fsh3d_o3d.index.checksums import CHECKSUM, FOLDER, FileChecksums, row_checksums
 from fsh3d_o3d.index.columns import column, is_one_of
 from fsh3d_o3d.index.durability import DiskSync

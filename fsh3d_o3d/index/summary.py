@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 
-from fsh3d_o3d.files.object_storage import is_uri, list_objects
+from fsh3d_o3d.files import is_uri, list_objects
 from fsh3d_o3d.index.errors import translated
 from fsh3d_o3d.index.results import IndexSummary
 from fsh3d_o3d.index.roots import library_of

@@ -20,8 +20,8 @@ from tqdm import tqdm
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._printable import printable
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.files.reading import read_geometry_file
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.files import read_geometry_file
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.jobs.descriptor_cache import CachedDescriptor, DescriptorCache, descriptor_key
 from fsh3d_o3d.jobs.worker_pool import run_tasks
 

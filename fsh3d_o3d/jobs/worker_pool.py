@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from fsh3d_o3d._imports import path_for_processes
-from fsh3d_o3d.files.child_process import ChildProcess, end_after
+from fsh3d_o3d.files import ChildProcess, end_after
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

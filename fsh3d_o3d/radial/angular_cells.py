@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.sphere.grids import fibonacci_grid
+from fsh3d_o3d.sphere import fibonacci_grid
 
 _PROBE_CELLS = 12 * 48**2
 _LOCAL_PROBES = 1024

@@ -11,13 +11,12 @@ import numpy as np
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import CoverageError, GeometryError
-from fsh3d_o3d.geometry.arrays import PointArrays
+from fsh3d_o3d.geometry import PointArrays
 from fsh3d_o3d.radial.angular_cells import AngularCells, largest_empty_cap
 from fsh3d_o3d.radial.cloud_center import cloud_center
 from fsh3d_o3d.radial.resampled_fit import fit_resampled
 from fsh3d_o3d.radial.scattered_fit import fit_scattered
-from fsh3d_o3d.sphere.grids import fibonacci_grid
-from fsh3d_o3d.sphere.transform import evaluate
+from fsh3d_o3d.sphere import evaluate, fibonacci_grid
 
 __all__ = ["CloudFit", "cloud_center", "fit_radial_cloud"]
 

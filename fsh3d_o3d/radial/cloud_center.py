@@ -6,13 +6,11 @@ import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import PointArrays
-from fsh3d_o3d.geometry.thinning import thinned
+from fsh3d_o3d.geometry import PointArrays, thinned
 from fsh3d_o3d.radial.angular_cells import AngularCells
 from fsh3d_o3d.radial.robust_fit import tukey
 from fsh3d_o3d.radial.scattered_fit import crowding, fit_medians
-from fsh3d_o3d.sphere.grids import fibonacci_grid
-from fsh3d_o3d.sphere.transform import evaluate
+from fsh3d_o3d.sphere import evaluate, fibonacci_grid
 
 _BANDWIDTH = 8
 _MOST_POINTS = 200_000

@@ -14,10 +14,9 @@ from scipy.spatial import KDTree
 from fsh3d_o3d._validation import Float64Array, IntArray, choice, number, point
 from fsh3d_o3d._validation import directions as checked_directions
 from fsh3d_o3d.errors import GeometryError, NotStarShapedError
-from fsh3d_o3d.geometry.arrays import MeshArrays
-from fsh3d_o3d.geometry.rays import Frame, UnitScene
+from fsh3d_o3d.geometry import Frame, MeshArrays, UnitScene
 from fsh3d_o3d.radial.star import SAME_HIT, visible_area
-from fsh3d_o3d.sphere_map.diagnosis import mapping_obstacles
+from fsh3d_o3d.sphere_map import mapping_obstacles
 
 Behaviour = Literal["error", "outermost", "innermost"]
 

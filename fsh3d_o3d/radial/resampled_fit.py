@@ -19,10 +19,13 @@ from fsh3d_o3d.radial.scattered_fit import (
     judge,
     padded,
 )
-from fsh3d_o3d.sphere.grids import fibonacci_grid, grid_from_directions
-from fsh3d_o3d.sphere.nufft_engine import NufftEngine
-from fsh3d_o3d.sphere.threads import resolve_threads
-from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform
+from fsh3d_o3d.sphere import (
+    NufftEngine,
+    SphericalHarmonicTransform,
+    fibonacci_grid,
+    grid_from_directions,
+    resolve_threads,
+)
 
 _FEWEST, _MOST = 16, 192  # neighbours of a node
 _REACH = 3.0  # farthest neighbour, in spacings of the nodes

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.special import erf
 
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.sphere.harmonics import degrees_and_orders
-from fsh3d_o3d.sphere.nufft_engine import NufftEngine
+from fsh3d_o3d.sphere import NufftEngine, degrees_and_orders
 
 TUKEY = 6.5
 """Tukey's constant: residuals beyond so many sigma have no weight; 98.6 % efficient for Gaussian noise."""

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.radial.angular_cells import AngularCells
 from fsh3d_o3d.radial.robust_fit import TUKEY, bending, likely_penalty, robust_scale, solve, tukey
-from fsh3d_o3d.sphere.grids import SphericalGrid, grid_from_directions
-from fsh3d_o3d.sphere.nufft_engine import NufftEngine
+from fsh3d_o3d.sphere import NufftEngine, SphericalGrid, grid_from_directions
 
 SCALE_FLOOR = 1e-10
 """Least residual scale in units of the median radius: below it, residuals are rounding."""

@@ -9,12 +9,9 @@ import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, point
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import MeshArrays
-from fsh3d_o3d.geometry.measures import area_samples, oriented, weld
-from fsh3d_o3d.geometry.rays import Frame, UnitScene
-from fsh3d_o3d.geometry.topology import EdgeTable
+from fsh3d_o3d.geometry import EdgeTable, Frame, MeshArrays, UnitScene, area_samples, oriented, weld
 from fsh3d_o3d.radial.star_kernel import FacePlanes, kernel_center
-from fsh3d_o3d.sphere.grids import fibonacci_grid
+from fsh3d_o3d.sphere import fibonacci_grid
 
 _SEED = 20  # of the area samples: fixed, so that the same mesh gives the same report
 _DIRECTIONS = 4096

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry.measures import degenerate
+from fsh3d_o3d.geometry import degenerate
 
 _START = 256  # faces in the first programme
 _ADDED = 256  # violated faces that each round adds

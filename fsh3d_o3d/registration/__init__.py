@@ -1,1 +1,19 @@
 """Alignment of one shape onto another from any position."""
+
+from __future__ import annotations
+
+from fsh3d_o3d.registration.register import (
+    SphericalRegistrationOption,
+    SphericalRegistrationResult,
+    registration_spherical,
+)
+from fsh3d_o3d.registration.surface import plain_surface, resolved_surface, shell_coefficients
+
+__all__ = [
+    "SphericalRegistrationOption",
+    "SphericalRegistrationResult",
+    "plain_surface",
+    "registration_spherical",
+    "resolved_surface",
+    "shell_coefficients",
+]

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry.surface import Surface
-from fsh3d_o3d.sphere.rotation.correlation import exponential
+from fsh3d_o3d.geometry import Surface
+from fsh3d_o3d.sphere import exponential
 
 REACH = 0.3
 """RMS radii; what is farther from the other surface counts as this far, whatever it is."""

@@ -17,11 +17,10 @@ from scipy.spatial import cKDTree
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, geometry_arrays
-from fsh3d_o3d.geometry.surface import Surface
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, Surface, geometry_arrays
 from fsh3d_o3d.registration.search import Alignment, Ambiguity, align
 from fsh3d_o3d.registration.surface import plain_surface, resolved_surface
-from fsh3d_o3d.sphere.threads import single_threaded_blas
+from fsh3d_o3d.sphere import single_threaded_blas
 
 __all__ = [
     "SphericalRegistrationCandidate",

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.geometry.surface import Surface
+from fsh3d_o3d.geometry import Surface
 from fsh3d_o3d.registration.fit import Pairs, Poses, Side, refine, weakest_axis
 from fsh3d_o3d.registration.surface import is_round, shell_coefficients
-from fsh3d_o3d.sphere.rotation.correlation import exponential
-from fsh3d_o3d.sphere.rotation.rotation_search import estimate_rotation
+from fsh3d_o3d.sphere import estimate_rotation, exponential
 
 _PROBES = 1024  # samples of each side that may search
 _TRIED = (128, 3)  # probes and steps for every candidate

@@ -13,12 +13,9 @@ import numpy as np
 
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.geometry.surface import Surface, surface_of
-from fsh3d_o3d.geometry.thinning import thinned
-from fsh3d_o3d.shells.shell_fields import ShellFields, ShellSampler
-from fsh3d_o3d.shells.voxel_fields import VoxelGrid
-from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, Surface, surface_of, thinned
+from fsh3d_o3d.shells import ShellFields, ShellSampler, VoxelGrid
+from fsh3d_o3d.sphere import SphericalHarmonicTransform
 
 _RESOLUTION = 0.15  # RMS radii: parts closer than about twice this are seen as one
 _SEEN = 3.0  # RMS radii; what lies farther out is not part of the shape

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, geometry_arrays
-from fsh3d_o3d.geometry.measures import area_samples
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, area_samples, geometry_arrays
 from fsh3d_o3d.report.colors import ORIGINAL_COLOR
 from fsh3d_o3d.report.thumbnail import render_thumbnail, side_by_side
 

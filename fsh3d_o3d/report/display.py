@@ -13,8 +13,7 @@ from scipy.spatial import KDTree
 
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.geometry.rays import Frame
+from fsh3d_o3d.geometry import Frame, MeshArrays, PointArrays
 from fsh3d_o3d.report.colors import css_color
 from fsh3d_o3d.report.rasterise import estimated_normals, unit
 from fsh3d_o3d.report.view import positions

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail
 
 __all__ = ["library_thumbnail"]

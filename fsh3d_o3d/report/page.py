@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d._validation import Float64Array, real_array
 from fsh3d_o3d._version import __version__
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, geometry_arrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, geometry_arrays
 from fsh3d_o3d.report.colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, color_stops, css_color, error_colors
 from fsh3d_o3d.report.display import Displayed, common_frame, displayed, geometry_json, packed, shaded_points
 from fsh3d_o3d.report.figures import FigureValue, figure_rows, percent_text

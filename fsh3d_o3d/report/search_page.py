@@ -14,10 +14,9 @@ from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d._version import __version__
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.files.reading import read_geometry_arrays
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.geometry.rays import Frame
-from fsh3d_o3d.index.shape_index import Hit
+from fsh3d_o3d.files import read_geometry_arrays
+from fsh3d_o3d.geometry import Frame, MeshArrays, PointArrays
+from fsh3d_o3d.index import Hit
 from fsh3d_o3d.report.colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, css_color
 from fsh3d_o3d.report.display import Displayed, displayed, geometry_json
 from fsh3d_o3d.report.html import document, escaped, png_source

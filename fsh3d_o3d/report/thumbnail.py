@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, integer, real_array
-from fsh3d_o3d.geometry.arrays import MeshArrays, geometry_arrays, vertex_attributes
+from fsh3d_o3d.geometry import MeshArrays, geometry_arrays, vertex_attributes
 from fsh3d_o3d.report.colors import ORIGINAL_COLOR, error_colors
 from fsh3d_o3d.report.images import encode_png, side_by_side
 from fsh3d_o3d.report.rasterise import mesh_fragments, point_fragments

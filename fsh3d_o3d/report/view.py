@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, point
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.geometry.rays import Frame
+from fsh3d_o3d.geometry import Frame, MeshArrays, PointArrays
 
 DEFAULT_DIRECTION = (1.0, -1.5, 0.8)
 """From the geometry towards the viewer: three quarters from the front, a little from above."""

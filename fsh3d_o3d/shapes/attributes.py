@@ -11,7 +11,7 @@ import numpy as np
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import vertex_attributes
+from fsh3d_o3d.geometry import vertex_attributes
 from fsh3d_o3d.shapes import storage
 
 COLORS = "colors"

@@ -13,10 +13,7 @@ import numpy as np
 from scipy.linalg import solve_banded
 
 from fsh3d_o3d._validation import Float64Array, FloatArray
-from fsh3d_o3d.sphere.grids import grid_from_directions
-from fsh3d_o3d.sphere.harmonics import degrees_and_orders
-from fsh3d_o3d.sphere.nufft_engine import NufftEngine
-from fsh3d_o3d.sphere.threads import resolve_threads, run_all
+from fsh3d_o3d.sphere import NufftEngine, degrees_and_orders, grid_from_directions, resolve_threads, run_all
 
 _TINY = 1e-300
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from fsh3d_o3d.shapes.radial import RadialShape
 from fsh3d_o3d.shapes.shell import ShellShape
-from fsh3d_o3d.sphere.rotation.canonical import CanonicalPose, canonical_pose
+from fsh3d_o3d.sphere import CanonicalPose, canonical_pose
 
 __all__ = ["canonical_rotation"]
 

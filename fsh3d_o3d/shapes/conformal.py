@@ -14,27 +14,25 @@ from fsh3d_o3d import _validation as check
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, FloatArray
 from fsh3d_o3d.errors import GeometryReadError
-from fsh3d_o3d.geometry.arrays import (
+from fsh3d_o3d.geometry import (
     GEOMETRY_KINDS,
     GeometryKind,
     MeshArrays,
     PointArrays,
+    area_samples,
     chosen_kind,
     geometry_arrays,
     open3d_mesh,
     open3d_point_cloud,
 )
-from fsh3d_o3d.geometry.measures import area_samples
 from fsh3d_o3d.shapes import attributes as _attributes
 from fsh3d_o3d.shapes import decoding as _decoding
 from fsh3d_o3d.shapes import storage
 from fsh3d_o3d.shapes.attributes import COLORS
 from fsh3d_o3d.shapes.decoding import Triangulation
 from fsh3d_o3d.shapes.map_sampling import checked_size, transform_map
-from fsh3d_o3d.sphere.coefficients import degree_energies, filter_coefficients, truncate
-from fsh3d_o3d.sphere.grids import SphericalGrid, grid_from_directions
-from fsh3d_o3d.sphere_map.conformal_map import ConformalMapOption, conformal_map
-from fsh3d_o3d.sphere_map.spherical_map import SphericalMap
+from fsh3d_o3d.sphere import SphericalGrid, degree_energies, filter_coefficients, grid_from_directions, truncate
+from fsh3d_o3d.sphere_map import ConformalMapOption, SphericalMap, conformal_map
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,10 +10,8 @@ from scipy.sparse import csr_array
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry.arrays import MeshArrays
-from fsh3d_o3d.geometry.triangulation import fibonacci_triangulation, sphere_mesh
-from fsh3d_o3d.sphere.grids import SphericalGrid, fibonacci_grid
-from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform, evaluate, evaluate_gradient
+from fsh3d_o3d.geometry import MeshArrays, fibonacci_triangulation, sphere_mesh
+from fsh3d_o3d.sphere import SphericalGrid, SphericalHarmonicTransform, evaluate, evaluate_gradient, fibonacci_grid
 
 Triangulation = Literal["icosphere", "fibonacci"]
 

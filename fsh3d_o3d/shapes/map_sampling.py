@@ -14,12 +14,10 @@ import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.geometry.rays import Frame
+from fsh3d_o3d.geometry import Frame
 from fsh3d_o3d.shapes.decoding import moved
-from fsh3d_o3d.sphere.grids import fibonacci_grid, grid_size
-from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform
-from fsh3d_o3d.sphere_map.point_location import locate
-from fsh3d_o3d.sphere_map.spherical_map import SphericalMap
+from fsh3d_o3d.sphere import SphericalHarmonicTransform, fibonacci_grid, grid_size
+from fsh3d_o3d.sphere_map import SphericalMap, locate
 
 
 def checked_size(bandwidth: int, oversampling: float | None) -> int:

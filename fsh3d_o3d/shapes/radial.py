@@ -12,25 +12,33 @@ from fsh3d_o3d import _validation as check
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import GeometryError, GeometryReadError
-from fsh3d_o3d.geometry.arrays import (
+from fsh3d_o3d.geometry import (
     GEOMETRY_KINDS,
     GeometryKind,
     MeshArrays,
     PointArrays,
     chosen_kind,
+    fibonacci_triangulation,
     geometry_arrays,
     open3d_mesh,
     open3d_point_cloud,
+    sphere_mesh,
 )
-from fsh3d_o3d.geometry.triangulation import fibonacci_triangulation, sphere_mesh
-from fsh3d_o3d.radial.cloud import cloud_center, fit_radial_cloud
-from fsh3d_o3d.radial.mesh import Behaviour, sample_radial
-from fsh3d_o3d.radial.star import star_center
+from fsh3d_o3d.radial import Behaviour, cloud_center, fit_radial_cloud, sample_radial, star_center
 from fsh3d_o3d.shapes import storage
-from fsh3d_o3d.sphere.coefficients import degree_energies, filter_coefficients, truncate
-from fsh3d_o3d.sphere.grids import SphericalGrid, fibonacci_grid, grid_from_directions, grid_size
-from fsh3d_o3d.sphere.rotation.rotation import rotate_coefficients
-from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform, evaluate, evaluate_gradient
+from fsh3d_o3d.sphere import (
+    SphericalGrid,
+    SphericalHarmonicTransform,
+    degree_energies,
+    evaluate,
+    evaluate_gradient,
+    fibonacci_grid,
+    filter_coefficients,
+    grid_from_directions,
+    grid_size,
+    rotate_coefficients,
+    truncate,
+)
 
 CenterName = Literal["auto", "best", "centroid"]
 Triangulation = Literal["icosphere", "fibonacci"]

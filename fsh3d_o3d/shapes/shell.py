@@ -12,26 +12,30 @@ from fsh3d_o3d import _validation as check
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, FloatArray
 from fsh3d_o3d.errors import GeometryReadError
-from fsh3d_o3d.geometry.arrays import (
+from fsh3d_o3d.geometry import (
     GEOMETRY_KINDS,
     GeometryKind,
     MeshArrays,
     PointArrays,
+    area_samples,
     chosen_kind,
     geometry_arrays,
     open3d_mesh,
     open3d_point_cloud,
 )
-from fsh3d_o3d.geometry.measures import area_samples
 from fsh3d_o3d.shapes import storage
 from fsh3d_o3d.shapes.ball import BallFunction
 from fsh3d_o3d.shapes.cube import ShellVolume, cube_points, cube_resolution
-from fsh3d_o3d.shells.iso_surface import without_specks, zero_surface
-from fsh3d_o3d.shells.volume_fields import FIELDS, FieldName, volume_field
-from fsh3d_o3d.sphere.coefficients import degree_energies, filter_coefficients, truncate
-from fsh3d_o3d.sphere.grids import fibonacci_grid, grid_size
-from fsh3d_o3d.sphere.rotation.rotation import rotate_coefficients
-from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform
+from fsh3d_o3d.shells import FIELDS, FieldName, volume_field, without_specks, zero_surface
+from fsh3d_o3d.sphere import (
+    SphericalHarmonicTransform,
+    degree_energies,
+    fibonacci_grid,
+    filter_coefficients,
+    grid_size,
+    rotate_coefficients,
+    truncate,
+)
 
 _FEWEST_SHELLS, _MOST_SHELLS = 4, 4096
 _MARGIN = 0.05  # of empty space beyond the surface, in units of the frame

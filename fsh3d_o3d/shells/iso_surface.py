@@ -8,8 +8,7 @@ from scipy.ndimage import map_coordinates
 from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import MeshArrays
-from fsh3d_o3d.geometry.topology import EdgeTable, components
+from fsh3d_o3d.geometry import EdgeTable, MeshArrays, components
 
 # Of the field's usual change across a cell. Values closer to zero are moved this far from it, on their side, so that no
 # vertex falls onto a corner of the grid, where triangles would collapse.

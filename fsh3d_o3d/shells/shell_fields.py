@@ -13,9 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fsh3d_o3d._validation import Float64Array, choice, integer, number
-from fsh3d_o3d.geometry.rays import UnitScene
-from fsh3d_o3d.geometry.surface import Surface
-from fsh3d_o3d.geometry.surface_comparison import point_triangle_distance
+from fsh3d_o3d.geometry import Surface, UnitScene, point_triangle_distance
 from fsh3d_o3d.shells.voxel_fields import VoxelGrid
 
 Route = Literal["voxel", "exact"]

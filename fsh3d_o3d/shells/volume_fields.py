@@ -14,13 +14,20 @@ from fsh3d_o3d import _validation as check
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, geometry_arrays, open3d_point_cloud
-from fsh3d_o3d.geometry.measures import measure_mesh, weld
-from fsh3d_o3d.geometry.rays import Frame, UnitScene
-from fsh3d_o3d.geometry.surface_comparison import point_triangle_distance
-from fsh3d_o3d.geometry.topology import BoolArray
+from fsh3d_o3d.geometry import (
+    BoolArray,
+    Frame,
+    MeshArrays,
+    PointArrays,
+    UnitScene,
+    geometry_arrays,
+    measure_mesh,
+    open3d_point_cloud,
+    point_triangle_distance,
+    weld,
+)
 from fsh3d_o3d.shells.winding_number import Solid, inside, solid_of
-from fsh3d_o3d.sphere.threads import resolve_threads, run_all
+from fsh3d_o3d.sphere import resolve_threads, run_all
 
 FieldName = Literal["signed_distance", "occupancy", "gaussian_distance"]
 

@@ -14,8 +14,7 @@ from scipy.sparse import csr_array
 
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.sampling import surface_points
-from fsh3d_o3d.geometry.surface import Surface
+from fsh3d_o3d.geometry import Surface, surface_points
 
 _SMALLEST = 1e-300  # what is left of an area that is too far away to be seen
 

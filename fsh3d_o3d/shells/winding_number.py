@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry.rays import UnitScene
-from fsh3d_o3d.geometry.topology import BoolArray, EdgeTable, components
-from fsh3d_o3d.sphere.grids import fibonacci_grid
+from fsh3d_o3d.geometry import BoolArray, EdgeTable, UnitScene, components
+from fsh3d_o3d.sphere import fibonacci_grid
 
 _FAN_SHARE = 0.25  # of a patch's area: larger openings are the shape's own
 _ORIENTATION_RAYS = 40_000

@@ -1,4 +1,9 @@
-"""Grids, weights, harmonics, transforms and coefficients on the sphere; no Open3D here."""
+"""Functions on the sphere: grids, quadrature weights, harmonics, the transform and its coefficients.
+
+NumPy, SciPy and ducc0 alone; Open3D is never imported here. ``rotation`` turns coefficients and finds rotations.
+"""
+
+from __future__ import annotations
 
 from fsh3d_o3d.sphere.analytic_weights import WeightSolution, analytic_weights
 from fsh3d_o3d.sphere.coefficients import (
@@ -10,74 +15,99 @@ from fsh3d_o3d.sphere.coefficients import (
     truncate,
 )
 from fsh3d_o3d.sphere.conventions import from_complex, from_packed, to_complex, to_packed
+from fsh3d_o3d.sphere.engines import EnginePair
 from fsh3d_o3d.sphere.grids import (
     SphericalGrid,
     cube_grid,
     equiangular_grid,
     fibonacci_grid,
     grid_from_directions,
+    grid_size,
     healpix_grid,
     icosahedral_grid,
 )
 from fsh3d_o3d.sphere.harmonics import degrees_and_orders, spherical_harmonics
 from fsh3d_o3d.sphere.icosahedron import icosphere
+from fsh3d_o3d.sphere.invariants import energies, gram_powers
 from fsh3d_o3d.sphere.least_squares import LeastSquaresFit, fit_coefficients
-from fsh3d_o3d.sphere.rotation.aligned_distance import aligned_distance
-from fsh3d_o3d.sphere.rotation.canonical import CanonicalPose
-from fsh3d_o3d.sphere.rotation.rotation import reflect_coefficients, rotate_coefficients
-from fsh3d_o3d.sphere.rotation.rotation_search import RotationEstimate, estimate_rotation, estimate_rotations
-from fsh3d_o3d.sphere.rotation.symmetry import SymmetryAxis, SymmetryPlane, SymmetryReport, find_symmetries
+from fsh3d_o3d.sphere.nufft_engine import NufftEngine
+from fsh3d_o3d.sphere.rotation import (
+    CanonicalPose,
+    RotationEstimate,
+    SymmetryAxis,
+    SymmetryPlane,
+    SymmetryReport,
+    aligned_distance,
+    canonical_pose,
+    estimate_rotation,
+    estimate_rotations,
+    exponential,
+    find_symmetries,
+    parity,
+    reflect_coefficients,
+    rotate_coefficients,
+    rotate_each,
+)
+from fsh3d_o3d.sphere.threads import resolve_threads, run_all, single_threaded_blas
 from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform, evaluate, evaluate_gradient
 from fsh3d_o3d.sphere.weight_cache import clear_weight_cache, weight_cache_directory
-from fsh3d_o3d.sphere.weights import area_weights, driscoll_healy_weights, equal_weights
+from fsh3d_o3d.sphere.weights import area_weights, checked_weights, driscoll_healy_weights, equal_weights
 
 __all__ = [
-    # grids
-    "SphericalGrid",
-    "cube_grid",
-    "equiangular_grid",
-    "fibonacci_grid",
-    "grid_from_directions",
-    "healpix_grid",
-    "icosahedral_grid",
-    "icosphere",
-    # weights
-    "WeightSolution",
-    "analytic_weights",
-    "area_weights",
-    "clear_weight_cache",
-    "driscoll_healy_weights",
-    "equal_weights",
-    "weight_cache_directory",
-    # transform
-    "LeastSquaresFit",
-    "SphericalHarmonicTransform",
-    "evaluate",
-    "evaluate_gradient",
-    "fit_coefficients",
-    # rotation
     "CanonicalPose",
+    "EnginePair",
+    "LeastSquaresFit",
+    "NufftEngine",
     "RotationEstimate",
-    "aligned_distance",
+    "SphericalGrid",
+    "SphericalHarmonicTransform",
     "SymmetryAxis",
     "SymmetryPlane",
     "SymmetryReport",
-    "estimate_rotation",
-    "estimate_rotations",
-    "find_symmetries",
-    "reflect_coefficients",
-    "rotate_coefficients",
-    # coefficients
+    "WeightSolution",
+    "aligned_distance",
+    "analytic_weights",
+    "area_weights",
+    "canonical_pose",
+    "checked_weights",
+    "clear_weight_cache",
+    "cube_grid",
     "degree_energies",
     "degrees_and_orders",
+    "driscoll_healy_weights",
+    "energies",
+    "equal_weights",
+    "equiangular_grid",
+    "estimate_rotation",
+    "estimate_rotations",
+    "evaluate",
+    "evaluate_gradient",
+    "exponential",
+    "fibonacci_grid",
     "filter_coefficients",
+    "find_symmetries",
+    "fit_coefficients",
     "from_complex",
     "from_packed",
+    "gram_powers",
+    "grid_from_directions",
+    "grid_size",
+    "healpix_grid",
     "heat_filter",
+    "icosahedral_grid",
+    "icosphere",
     "ideal_filter",
     "lanczos_filter",
+    "parity",
+    "reflect_coefficients",
+    "resolve_threads",
+    "rotate_coefficients",
+    "rotate_each",
+    "run_all",
+    "single_threaded_blas",
     "spherical_harmonics",
     "to_complex",
     "to_packed",
     "truncate",
+    "weight_cache_directory",
 ]

@@ -12,9 +12,8 @@ import numpy as np
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import MeshArrays, geometry_arrays
-from fsh3d_o3d.geometry.rays import Frame
-from fsh3d_o3d.sphere.threads import single_threaded_blas
+from fsh3d_o3d.geometry import Frame, MeshArrays, geometry_arrays
+from fsh3d_o3d.sphere import single_threaded_blas
 from fsh3d_o3d.sphere_map.balance import AREA_WEIGHT, balance, balance_level
 from fsh3d_o3d.sphere_map.diagnosis import closed_surface
 from fsh3d_o3d.sphere_map.embedding import Relax, embed

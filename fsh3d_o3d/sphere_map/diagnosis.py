@@ -8,9 +8,7 @@ import numpy as np
 
 from fsh3d_o3d._validation import IntArray
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import MeshArrays
-from fsh3d_o3d.geometry.measures import MeshMeasures, measure_mesh, oriented, weld
-from fsh3d_o3d.geometry.topology import EdgeTable
+from fsh3d_o3d.geometry import EdgeTable, MeshArrays, MeshMeasures, measure_mesh, oriented, weld
 
 __all__ = ["mapping_obstacles"]
 

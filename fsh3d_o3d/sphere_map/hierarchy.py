@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry.topology import BoolArray
+from fsh3d_o3d.geometry import BoolArray
 
 _DEGREE = 9  # removable at most; a sphere's mean degree is below 6, so 4/7 of the vertices qualify at any time
 _CHEAPEST = 0.6  # the share of those that a round may touch: the rest is what gives the surface its shape

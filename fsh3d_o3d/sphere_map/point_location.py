@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.topology import EdgeTable
+from fsh3d_o3d.geometry import EdgeTable
 
 _BLOCK = 2**16  # directions at a time, for memory
 _NEARLY = 0.5  # nearest to within this: a tight cluster is as far everywhere, and looking for its nearest point is slow

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry.arrays import MeshArrays
+from fsh3d_o3d.geometry import MeshArrays
 
 __all__ = ["MapMethod", "SphericalMap"]
 

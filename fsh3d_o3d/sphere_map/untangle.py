@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csc_array, csr_array, diags_array
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry.topology import BoolArray
+from fsh3d_o3d.geometry import BoolArray
 from fsh3d_o3d.sphere_map.laplacian import factorised
 from fsh3d_o3d.sphere_map.mobius import normalized
 from fsh3d_o3d.sphere_map.validity import orientations

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d._atomic import atomic_write_bytes
-from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail, side_by_side
+from fsh3d_o3d.report import encode_png, render_thumbnail, side_by_side
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 NAMES = ("bennu_like.ply", "gem.stl", "cushion_quads.obj")

@@ -19,8 +19,8 @@ import open3d as o3d
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d._atomic import atomic_write_bytes
-from fsh3d_o3d.geometry.arrays import MeshArrays
-from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail, side_by_side
+from fsh3d_o3d.geometry import MeshArrays
+from fsh3d_o3d.report import encode_png, render_thumbnail, side_by_side
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 BANDWIDTHS = (6, 12, 32)

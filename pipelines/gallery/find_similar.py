@@ -18,9 +18,9 @@ import numpy as np
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d._atomic import atomic_write_bytes
-from fsh3d_o3d.descriptors.library import SHDDescriptor
-from fsh3d_o3d.files.reading import read_geometry_arrays
-from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail, side_by_side
+from fsh3d_o3d.descriptors import SHDDescriptor
+from fsh3d_o3d.files import read_geometry_arrays
+from fsh3d_o3d.report import encode_png, render_thumbnail, side_by_side
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 LIBRARY = (

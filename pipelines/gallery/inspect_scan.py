@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d._atomic import atomic_write_bytes
-from fsh3d_o3d.report.thumbnail import encode_png, error_colors, render_thumbnail, side_by_side
+from fsh3d_o3d.report import encode_png, error_colors, render_thumbnail, side_by_side
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 SIZE = 160

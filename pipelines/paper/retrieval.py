@@ -27,11 +27,10 @@ from _common import parser, plt, run, save_figure, save_results, table
 
 import fsh3d_o3d as fsh
 import fsh3d_o3d.retrieval as retrieval
-from fsh3d_o3d.closing.prepare_closed import prepare_closed
-from fsh3d_o3d.descriptors.library import CPSHDDescriptor, SHDDescriptor, on_equiangular_grid
-from fsh3d_o3d.descriptors.shd import CPSHDOption
-from fsh3d_o3d.evaluation.model_files import find_models
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.closing import prepare_closed
+from fsh3d_o3d.descriptors import CPSHDDescriptor, CPSHDOption, SHDDescriptor, on_equiangular_grid
+from fsh3d_o3d.evaluation import find_models
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 TOY = {

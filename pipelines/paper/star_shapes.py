@@ -35,13 +35,10 @@ from scipy.spatial.transform import Rotation
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.files.reading import read_geometry_arrays
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.geometry.measures import area_samples, enclosed_volume, weld
-from fsh3d_o3d.geometry.triangulation import sphere_mesh
-from fsh3d_o3d.radial.mesh import sample_radial
-from fsh3d_o3d.radial.star import star_center
-from fsh3d_o3d.shapes.radial import RadialShape
+from fsh3d_o3d.files import read_geometry_arrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, area_samples, enclosed_volume, sphere_mesh, weld
+from fsh3d_o3d.radial import sample_radial, star_center
+from fsh3d_o3d.shapes import RadialShape
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 METRICS = ("RMSE", "MAE", "VE")

@@ -143,7 +143,7 @@ def test_interrupt_leaves_no_process_behind(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "import threading, time\n"
-        "from fsh3d_o3d.jobs.extraction import extract_descriptors\n"
+        "from fsh3d_o3d.jobs import extract_descriptors\n"
         "from tests.processes import own_children\n"
         "from tests.jobs.toys import ToyDescriptor\n"
         "def tell():\n"

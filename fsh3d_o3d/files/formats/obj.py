@@ -13,7 +13,7 @@ from fsh3d_o3d.files.formats.obj_odd_lines import known_keywords
 from fsh3d_o3d.files.formats.result import cloud_of, polygon_mesh_of
 from fsh3d_o3d.files.formats.source import Source, counted
 from fsh3d_o3d.files.formats.text import NumberRows, TextLines, indices, without_comments
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 
 def parse_obj(source: Source) -> MeshArrays | PointArrays:

@@ -18,7 +18,7 @@ from fsh3d_o3d.files.formats.off_vertices import OffVertices
 from fsh3d_o3d.files.formats.result import polygon_mesh_of
 from fsh3d_o3d.files.formats.source import Source
 from fsh3d_o3d.files.formats.text import TextLines, indices, without_comments
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 _KEYWORD = re.compile(rb"\s*((?:ST|[CN4n])*)OFF(?![A-Za-z])")
 _BINARY = re.compile(rb"(?:\s|#[^\n]*\n)*((?:ST|[CN4n])*)OFF[ \t]+BINARY[^\n]*\n")

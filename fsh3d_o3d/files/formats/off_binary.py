@@ -10,7 +10,7 @@ from fsh3d_o3d.files.formats.off_vertices import OffVertices
 from fsh3d_o3d.files.formats.ply_binary import read_binary_element
 from fsh3d_o3d.files.formats.result import polygon_mesh_of
 from fsh3d_o3d.files.formats.source import Source, counted
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 _WORD = 4  # bytes of every number
 

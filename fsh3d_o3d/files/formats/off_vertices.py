@@ -10,7 +10,7 @@ from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.files.formats.result import cloud_of
 from fsh3d_o3d.files.formats.source import Source
-from fsh3d_o3d.geometry.arrays import PointArrays
+from fsh3d_o3d.geometry import PointArrays
 
 _NORMAL = 3
 _TEXTURE = 2

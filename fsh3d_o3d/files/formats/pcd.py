@@ -13,7 +13,7 @@ from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.files.formats.result import cloud_of
 from fsh3d_o3d.files.formats.source import Source, counted
 from fsh3d_o3d.files.formats.text import TextLines, text_reason
-from fsh3d_o3d.geometry.arrays import PointArrays
+from fsh3d_o3d.geometry import PointArrays
 
 _HEADER = re.compile(rb"(?:[^\n]*\n)*?[ \t]*DATA[ \t]+(\w+)[ \t]*(?:\r?\n|$)", re.IGNORECASE)
 _MAXIMUM_HEADER = 1 << 16

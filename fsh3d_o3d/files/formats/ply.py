@@ -12,7 +12,7 @@ from fsh3d_o3d.files.formats.ply_text import read_text
 from fsh3d_o3d.files.formats.result import cloud_of, mesh_of, polygon_mesh_of
 from fsh3d_o3d.files.formats.source import Source, counted
 from fsh3d_o3d.files.formats.text import indices
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 _INDEX_LISTS = ("vertex_indices", "vertex_index")
 

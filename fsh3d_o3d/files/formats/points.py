@@ -12,7 +12,7 @@ from fsh3d_o3d.files.formats.result import cloud_of
 from fsh3d_o3d.files.formats.source import Source, counted
 from fsh3d_o3d.files.formats.text import NumberRows, TextLines, indices
 from fsh3d_o3d.files.formats.text_columns import text_columns
-from fsh3d_o3d.geometry.arrays import PointArrays
+from fsh3d_o3d.geometry import PointArrays
 
 _UNIT = 1e-2  # how far the length of a printed normal may be from 1
 _NORMALS = ("nx", "ny", "nz")

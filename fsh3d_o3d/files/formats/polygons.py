@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.files.formats.source import Source
-from fsh3d_o3d.geometry.concave_polygon import triangulate
+from fsh3d_o3d.geometry import triangulate
 
 # Of a polygon's area: a smaller fold comes from rounding in single precision, not from a concave corner.
 _FOLD = 1e-6

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.files.formats.polygons import cut_polygons
 from fsh3d_o3d.files.formats.source import Source
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 
 def mesh_of(source: Source, vertices: Float64Array, triangles: IntArray) -> MeshArrays:

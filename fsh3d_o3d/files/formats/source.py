@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from fsh3d_o3d.errors import GeometryReadError
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 # A plain name: no folder, no drive, no scheme, nothing hidden in percent signs; file systems allow 255 bytes.
 _PLAIN_NAME = re.compile(r"[^/\\:%\x00-\x1f\x7f]{1,255}")

@@ -13,7 +13,7 @@ from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.files.formats.result import mesh_of
 from fsh3d_o3d.files.formats.source import Source, counted
 from fsh3d_o3d.files.formats.stl_text import text_stl_corners
-from fsh3d_o3d.geometry.arrays import MeshArrays
+from fsh3d_o3d.geometry import MeshArrays
 
 _HEADER_BYTES = 84
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

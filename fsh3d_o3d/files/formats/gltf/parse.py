@@ -20,7 +20,7 @@ from fsh3d_o3d.files.formats.gltf.scene import GltfScene, PlacedMesh
 from fsh3d_o3d.files.formats.gltf.transforms import mirrors, placed, turned_normals
 from fsh3d_o3d.files.formats.result import cloud_of, mesh_of
 from fsh3d_o3d.files.formats.source import Source
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 
 def parse_glb(source: Source) -> MeshArrays | PointArrays:
