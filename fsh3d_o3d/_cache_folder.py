@@ -1,4 +1,4 @@
-"""Where this user's cache lies (private)."""
+"""Where this user's cache lies."""
 
 from __future__ import annotations
 

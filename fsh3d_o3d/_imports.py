@@ -1,4 +1,4 @@
-"""Where modules are looked for: never first, and never unasked, in the working folder (private).
+"""Where modules are looked for: never first, and never unasked, in the working folder.
 
 Python started with ``-c``, ``-m`` or a program on standard input, a prompt and a notebook look for modules in the
 working folder before anywhere else. Whoever works in a folder of files from elsewhere would run its ``numpy.py``. What

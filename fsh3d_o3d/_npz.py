@@ -1,4 +1,4 @@
-"""Arrays in ``.npz`` files that may say anything of themselves: sizes are checked before memory is asked for (private).
+"""Arrays in ``.npz`` files that may say anything of themselves: sizes are checked before memory is asked for.
 
 ``np.load`` believes what the file says: a header can ask for any memory, a few megabytes unpack to gigabytes.
 """

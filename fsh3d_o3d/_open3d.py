@@ -1,4 +1,4 @@
-"""The one place that imports Open3D (private).
+"""The one place that imports Open3D.
 
 Importing Open3D takes seconds, so nothing does it before it is needed. ``open3d()`` returns the module.
 """

@@ -1,4 +1,4 @@
-"""Names and messages that people read: in one line, without what steers a terminal or hides in a page (private)."""
+"""Names and messages that people read: in one line, without what steers a terminal or hides in a page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Regular files and nothing else: a pipe would be waited for, a device may be endless (private)."""
+"""Regular files and nothing else: a pipe would be waited for, a device may be endless."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks at the public boundary (private): which argument, what was expected, what was given, what to do."""
+"""Checks at the public boundary: which argument, what was expected, what was given, what to do."""
 
 from __future__ import annotations
 

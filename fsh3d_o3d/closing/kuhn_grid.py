@@ -1,4 +1,4 @@
-"""The cubic grid cut into tetrahedra along its diagonals: neighbours, simple vertices, iso-surfaces (private).
+"""The cubic grid cut into tetrahedra along its diagonals: neighbours, simple vertices, iso-surfaces.
 
 Every cube is cut into the six tetrahedra around its diagonal (0, 0, 0)–(1, 1, 1) (Kuhn 1960, Freudenthal 1942), so that
 neighbouring cubes agree on their common face. Each vertex then has 14 neighbours. The surface between the vertices of

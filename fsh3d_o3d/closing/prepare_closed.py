@@ -18,10 +18,10 @@ from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry import (
     BoolArray,
     EdgeTable,
-    Frame,
     MeshArrays,
     MeshMeasures,
     PointArrays,
+    UnitCube,
     UnitScene,
     area_samples,
     components,
@@ -39,11 +39,11 @@ ClosingMethod = Literal["as given", "repaired", "carved"]
 """How a closed surface was made."""
 
 _SAMPLES = 20_000
-_NO_AREA = 1e-14  # of the unit frame: thinner than float64 tells from a line
+_NO_AREA = 1e-14  # of the unit cube: thinner than float64 tells from a line
 _DEBRIS = 1e-3  # of the area: parts that add up to no more than this are left out
 _MENDABLE = 0.2  # of the edges: with more of them open or shared by three triangles, a mesh is a soup
 _CAPS = 0.25  # of the area: larger openings belong to the shape and are not capped by a repair
-_LOSS = 1e-3  # RMS in the unit frame: a repair that takes away more is not used
+_LOSS = 1e-3  # RMS in the unit cube: a repair that takes away more is not used
 _CLEARANCE = 0.15  # of an edge of the grid; see ``between``
 _LIFT = 0.05  # cells between a sheet and either side of the surface around it
 # Around the mesh, in cells: room to carve in, and no plane of a usual model at a plane of the grid.
@@ -106,8 +106,8 @@ def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> C
     if isinstance(given, PointArrays):
         raise TypeError("a closed surface needs a mesh, got a point cloud; reconstruct a surface from it first")
     welded = weld(given)
-    frame = Frame.around(welded.vertices)
-    unit = MeshArrays(frame.to_unit(welded.vertices), welded.triangles)  # where squares of lengths do not overflow
+    cube = UnitCube.around(welded.vertices)
+    unit = MeshArrays(cube.to_unit(welded.vertices), welded.triangles)  # where squares of lengths do not overflow
     measures = measure_mesh(unit)
     if measures.area <= _NO_AREA:
         raise GeometryError("the mesh has no area: all its triangles are degenerate")
@@ -131,7 +131,7 @@ def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> C
     there, back = _distances(points, closed), _distances(area_samples(closed, _SAMPLES)[0], unit)
     reached = there if outer is None or not outer.any() else there[outer]
     return Closing(
-        mesh=MeshArrays(frame.from_unit(closed.vertices), closed.triangles),
+        mesh=MeshArrays(cube.from_unit(closed.vertices), closed.triangles),
         method=method,
         problems=problems,
         changed=changed,

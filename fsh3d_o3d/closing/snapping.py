@@ -1,4 +1,4 @@
-"""Draws the vertices of a closed surface onto the surface it stands for, and evens out its triangles (private)."""
+"""Draws the vertices of a closed surface onto the surface it stands for, and evens out its triangles."""
 
 from __future__ import annotations
 

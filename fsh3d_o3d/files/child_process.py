@@ -1,4 +1,4 @@
-"""Processes of our own: what they import is installed, and they do not outlive the one that started them (private)."""
+"""Processes of our own: what they import is installed, and they do not outlive the one that started them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files on object storage, named like ``s3://bucket/folder/file.stl`` (private).
+"""Files on object storage, named like ``s3://bucket/folder/file.stl``.
 
 PyArrow lists and reads them. Credentials, region and endpoint are those of the environment, as for other tools:
 ``AWS_ACCESS_KEY_ID``, ``AWS_SECRET_ACCESS_KEY``, ``AWS_SESSION_TOKEN``, ``AWS_REGION``, ``AWS_ENDPOINT_URL``. No name

@@ -1,4 +1,4 @@
-"""From a file to arrays, in Python and NumPy (private): the table of formats, and the door to it.
+"""From a file to arrays, in Python and NumPy: the table of formats, and the door to it.
 
 No native reader sees the file, but for Draco streams in glTF. The parsers are this package's own because the readers
 at hand are too lenient for untrusted files (a truncated file becomes part of a mesh) or slow to start; trimesh is the

@@ -1,4 +1,4 @@
-"""A process that reads files for another one and may die doing it (private).
+"""A process that reads files for another one and may die doing it.
 
 ``ReaderProcess`` is the side that asks, ``serve`` the side that reads. A request is a line of JSON; an answer is eight
 bytes of length, that much JSON, and the raw bytes of the arrays it names. Nothing that is read is ever executed.

@@ -1,4 +1,4 @@
-"""From arrays to the bytes of a file (private); one function a format.
+"""From arrays to the bytes of a file; one function a format.
 
 Open3D's writers print six digits (OBJ, OFF) or ten decimals (XYZ, so that 1e-30 becomes 0), and some leave files of
 their own beside the target. Here text has the digits that float64 needs and the same arrays give the same bytes.

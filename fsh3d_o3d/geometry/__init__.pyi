@@ -16,7 +16,7 @@ from .measures import enclosed_volume as enclosed_volume
 from .measures import measure_mesh as measure_mesh
 from .measures import oriented as oriented
 from .measures import weld as weld
-from .rays import Frame as Frame
+from .rays import UnitCube as UnitCube
 from .rays import UnitScene as UnitScene
 from .repair import repair_mesh as repair_mesh
 from .sampling import surface_points as surface_points

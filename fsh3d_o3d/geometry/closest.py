@@ -1,4 +1,4 @@
-"""Closest points on a surface in float64 (private)."""
+"""Closest points on a surface in float64."""
 
 from __future__ import annotations
 

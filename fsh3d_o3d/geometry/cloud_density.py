@@ -1,4 +1,4 @@
-"""Points of any density as samples of a surface: the area each stands for, and its normal (private)."""
+"""Points of any density as samples of a surface: the area each stands for, and its normal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LARGEST_SHARE = 16.0
 def density_corrected(
     points: Float64Array, normals: Float64Array | None
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Return points (n, 3), normals (n, 3) and weights (n,) of a cloud in a unit frame, in sorted order.
+    """Return points (n, 3), normals (n, 3) and weights (n,) of a cloud in the unit cube, in sorted order.
 
     The weight is the squared distance to the sixteenth neighbour, which is proportional to the area around a point
     where points lie on a surface, at most sixteen times the median; weights sum to 1. Equal points count once, and the

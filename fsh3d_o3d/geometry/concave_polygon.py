@@ -1,4 +1,4 @@
-"""One concave polygon of the plane into triangles (private).
+"""One concave polygon of the plane into triangles.
 
 Ear clipping is Manifold's: it keeps every corner and every side, those on a straight line and those of no length too,
 so that neighbours still meet, and it always returns n − 2 triangles. Its time grows with the square of the corners,

@@ -10,11 +10,11 @@ import numpy as np
 from fsh3d_o3d._validation import Float64Array, IntArray, integer
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.arrays import MeshArrays
-from fsh3d_o3d.geometry.rays import Frame
+from fsh3d_o3d.geometry.rays import UnitCube
 from fsh3d_o3d.geometry.topology import BoolArray, EdgeTable, components
 
 # A triangle is degenerate when twice its area is below this fraction of its longest edge squared: rounding of float64
-# coordinates near the unit frame's size then leaves no digit of its normal.
+# coordinates near the unit cube's size then leaves no digit of its normal.
 _DEGENERATE = 1e-15
 
 
@@ -58,13 +58,13 @@ class MeshMeasures:
 def measure_mesh(mesh: MeshArrays) -> MeshMeasures:
     """Measure a mesh as it is indexed; ``weld`` it first where triangles repeat their vertices (STL).
 
-    Sums run in a frame of the mesh's own size, so neither a far-off origin nor extreme units cost digits. Topology
+    Sums run in the unit cube, so neither a far-off origin nor extreme units cost digits. Topology
     counts triangles with a repeated corner as absent.
 
     Raises:
         GeometryError: The mesh has no extent, or no triangle with three different corners.
     """
-    frame, vertices = _unit(mesh)
+    cube, vertices = _unit(mesh)
     corners = vertices[mesh.triangles]
     area, area_centroid = _area(corners)
     table = EdgeTable(_proper(mesh.triangles))
@@ -80,11 +80,11 @@ def measure_mesh(mesh: MeshArrays) -> MeshMeasures:
     euler = used - len(table.first) + len(table.triangles)
     simple = closed and vertex_manifold and orientable and parts == 1
     return MeshMeasures(
-        area=area * frame.scale * frame.scale,
-        volume=None if volume is None else volume * frame.scale * frame.scale * frame.scale,
-        area_centroid=_readonly(frame.from_unit(area_centroid)),
-        volume_centroid=None if volume_centroid is None else _readonly(frame.from_unit(volume_centroid)),
-        diagonal=float(np.linalg.norm([np.ptp(vertices[:, k]) for k in range(3)])) * frame.scale,
+        area=area * cube.scale * cube.scale,
+        volume=None if volume is None else volume * cube.scale * cube.scale * cube.scale,
+        area_centroid=_readonly(cube.from_unit(area_centroid)),
+        volume_centroid=None if volume_centroid is None else _readonly(cube.from_unit(volume_centroid)),
+        diagonal=float(np.linalg.norm([np.ptp(vertices[:, k]) for k in range(3)])) * cube.scale,
         degenerate_triangles=int(np.count_nonzero(degenerate(corners))),
         closed=closed,
         edge_manifold=edge_manifold,
@@ -149,8 +149,8 @@ def enclosed_volume(mesh: MeshArrays) -> float | None:
         if turned is None:
             return None
         welded = turned
-    frame, vertices = _unit(welded)
-    return abs(_volume(vertices[welded.triangles])[0]) * frame.scale * frame.scale * frame.scale
+    cube, vertices = _unit(welded)
+    return abs(_volume(vertices[welded.triangles])[0]) * cube.scale * cube.scale * cube.scale
 
 
 def area_samples(mesh: MeshArrays, count: int, *, seed: int = 0) -> tuple[Float64Array, IntArray]:
@@ -160,7 +160,7 @@ def area_samples(mesh: MeshArrays, count: int, *, seed: int = 0) -> tuple[Float6
     they follow a Kronecker sequence. The same seed gives the same points.
     """
     count = integer(count, "count", minimum=1)
-    frame, vertices = _unit(mesh)
+    cube, vertices = _unit(mesh)
     total = np.cumsum(_double_areas(vertices[mesh.triangles]))
     if total[-1] <= 0:
         raise GeometryError("the mesh has no area: all its triangles are degenerate")
@@ -174,7 +174,7 @@ def area_samples(mesh: MeshArrays, count: int, *, seed: int = 0) -> tuple[Float6
     u, v = np.where(over, 1 - u, u)[:, None], np.where(over, 1 - v, v)[:, None]
     corners = vertices[mesh.triangles[triangle]]
     points = corners[:, 0] + u * (corners[:, 1] - corners[:, 0]) + v * (corners[:, 2] - corners[:, 0])
-    return frame.from_unit(points), triangle.astype(np.int64)
+    return cube.from_unit(points), triangle.astype(np.int64)
 
 
 def degenerate(corners: Float64Array) -> BoolArray:
@@ -190,13 +190,13 @@ def _used(triangles: IntArray, count: int) -> BoolArray:
     return used
 
 
-def _unit(mesh: MeshArrays) -> tuple[Frame, Float64Array]:
-    """Return the frame about the vertices in use, and all vertices in it (unused ones at the first one in use)."""
+def _unit(mesh: MeshArrays) -> tuple[UnitCube, Float64Array]:
+    """Return the cube about the vertices in use, and all vertices in it (unused ones at the first one in use)."""
     used = _used(mesh.triangles, len(mesh.vertices))
-    # An unused vertex may lie anywhere; moved onto a used one it can neither overflow nor widen the frame.
+    # An unused vertex may lie anywhere; moved onto a used one it can neither overflow nor widen the cube.
     vertices = mesh.vertices if used.all() else np.where(used[:, None], mesh.vertices, mesh.vertices[used.argmax()])
-    frame = Frame.around(vertices)
-    return frame, frame.to_unit(vertices)
+    cube = UnitCube.around(vertices)
+    return cube, cube.to_unit(vertices)
 
 
 def _proper(triangles: IntArray) -> IntArray:
@@ -224,7 +224,7 @@ def _area(corners: Float64Array) -> tuple[float, Float64Array]:
 
 
 def _volume(corners: Float64Array) -> tuple[float, Float64Array | None]:
-    """Return the sum of the signed tetrahedra over the frame's origin, and the centroid of the solid."""
+    """Return the sum of the signed tetrahedra over the cube's origin, and the centroid of the solid."""
     weight = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
     volume = float(weight.sum())
     # Below the rounding of the sum the solid is flat and has no centroid of its own.

@@ -1,7 +1,7 @@
-"""Rays and closest points in a unit frame (private).
+"""Rays and closest points in the unit cube.
 
 Open3D's ``RaycastingScene`` works in float32. Everything that uses it first moves and scales its geometry in float64
-into a frame where coordinates are of order one, asks the scene only *which* triangle is met, and computes the answer
+into the unit cube, asks the scene only *which* triangle is met, and computes the answer
 again in float64 from that triangle.
 """
 
@@ -17,13 +17,13 @@ from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
 
-_GRAZING = 1e-4  # in the unit frame: some thousand float32 steps
+_GRAZING = 1e-4  # in the unit cube: some thousand float32 steps
 _TILT = 1e-6  # radians: some ten float32 steps, enough to leave an edge that a ray slipped through
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
-    """A shift and a scale that bring points to order one without rounding more than the shift must."""
+class UnitCube:
+    """A shift and a scale that bring points into the unit cube without rounding more than the shift must."""
 
     origin: Float64Array
     """(3,) point that becomes the origin."""
@@ -31,8 +31,8 @@ class Frame:
     """Length that becomes one; a power of two, so that scaling is exact."""
 
     @classmethod
-    def around(cls, *clouds: Float64Array, center: Float64Array | None = None) -> Frame:
-        """Return the frame in which all (n, 3) clouds lie in the unit cube about ``center`` (default: box centre)."""
+    def around(cls, *clouds: Float64Array, center: Float64Array | None = None) -> UnitCube:
+        """Return what brings all (n, 3) clouds into the unit cube about ``center`` (default: that of their box)."""
         # Column by column, which is several times faster than reducing (n, 3) along its long axis.
         low = np.array([min(float(cloud[:, k].min()) for cloud in clouds) for k in range(3)])
         high = np.array([max(float(cloud[:, k].max()) for cloud in clouds) for k in range(3)])
@@ -45,16 +45,16 @@ class Frame:
         return cls(origin=middle, scale=math.ldexp(1.0, min(exponent, 1023)))
 
     def to_unit(self, points: Float64Array) -> Float64Array:
-        """Return points (…, 3) in the frame."""
+        """Return points (…, 3) of the geometry in the unit cube."""
         return np.asarray(points / self.scale - self.origin / self.scale)
 
     def from_unit(self, points: Float64Array) -> Float64Array:
-        """Return points (…, 3) of the frame in the coordinates of the geometry."""
+        """Return points (…, 3) of the unit cube in the coordinates of the geometry."""
         return np.asarray(points * self.scale + self.origin)
 
 
 class UnitScene:
-    """A ray-casting scene of triangles given in a unit frame; keeps the float64 corners beside it."""
+    """A ray-casting scene of triangles given in the unit cube; keeps the float64 corners beside it."""
 
     def __init__(self, vertices: Float64Array, triangles: IntArray) -> None:
         o3d = open3d()
@@ -92,7 +92,7 @@ class UnitScene:
         return self._tensor(rays)
 
     def radii(self, directions: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Return the innermost and outermost distance (n,) from the frame's origin along each direction (NaN: none).
+        """Return the innermost and outermost distance (n,) from the cube's origin along each direction (NaN: none).
 
         The innermost hit is met by a ray from the origin, the outermost by a ray from outside towards it.
         """

@@ -11,7 +11,7 @@ from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.arrays import MeshArrays
 from fsh3d_o3d.geometry.measures import MeshMeasures, measure_mesh, oriented, weld
-from fsh3d_o3d.geometry.rays import Frame
+from fsh3d_o3d.geometry.rays import UnitCube
 
 __all__ = ["Repair", "repair_mesh"]
 
@@ -48,9 +48,9 @@ def repair_mesh(mesh: MeshArrays, *, largest_hole: int = 1000) -> Repair:
 
     edges = check.integer(largest_hole, "largest_hole", minimum=0, maximum=10**6)
     welded = weld(mesh)
-    frame = Frame.around(welded.vertices)  # MeshLab stores float32 in places
+    cube = UnitCube.around(welded.vertices)  # MeshLab stores float32 in places
     meshes = pymeshlab.MeshSet(verbose=False)
-    meshes.add_mesh(pymeshlab.Mesh(frame.to_unit(welded.vertices), welded.triangles.astype(np.int32)))
+    meshes.add_mesh(pymeshlab.Mesh(cube.to_unit(welded.vertices), welded.triangles.astype(np.int32)))
     try:
         meshes.meshing_remove_duplicate_faces()
         meshes.meshing_remove_null_faces()
@@ -67,7 +67,7 @@ def repair_mesh(mesh: MeshArrays, *, largest_hole: int = 1000) -> Repair:
     if result.face_number() == 0:
         raise GeometryError("nothing is left of the mesh after repair: all its triangles were degenerate or repeated")
     vertices = np.asarray(result.vertex_matrix(), dtype=np.float64)
-    repaired = MeshArrays(frame.from_unit(vertices), np.asarray(result.face_matrix(), dtype=np.int64))
+    repaired = MeshArrays(cube.from_unit(vertices), np.asarray(result.face_matrix(), dtype=np.int64))
     turned = oriented(repaired)
     final = repaired if turned is None else turned
     return Repair(final, measure_mesh(welded), measure_mesh(final))

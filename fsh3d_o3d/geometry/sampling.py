@@ -1,4 +1,4 @@
-"""Points that cover a surface at a given spacing (private)."""
+"""Points that cover a surface at a given spacing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A surface in its own frame: area centroid at the origin, RMS radius one, exact moments, even samples (private)."""
+"""A surface in its own frame: area centroid at the origin, RMS radius one, exact moments, even samples."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
 from fsh3d_o3d.geometry.cloud_density import density_corrected
-from fsh3d_o3d.geometry.rays import Frame
+from fsh3d_o3d.geometry.rays import UnitCube
 
 # Twice a triangle's area is noise where it is below its longest edge times the rounding of its corners.
 _ROUNDING = 4 * np.finfo(np.float64).eps
@@ -81,17 +81,17 @@ def surface_of(geometry: MeshArrays | PointArrays, samples: int) -> Surface:
 def _mesh_surface(mesh: MeshArrays, samples: int) -> Surface:
     used = np.zeros(len(mesh.vertices), dtype=np.bool_)
     used[mesh.triangles] = True
-    # An unused vertex may lie anywhere; moved onto a used one it can neither overflow nor widen the frame.
+    # An unused vertex may lie anywhere; moved onto a used one it can neither overflow nor widen the cube.
     vertices = mesh.vertices if used.all() else np.where(used[:, None], mesh.vertices, mesh.vertices[used.argmax()])
-    frame = Frame.around(vertices)
+    cube = UnitCube.around(vertices)
     # One row a coordinate: gathering and multiplying contiguous rows is several times faster than (t, 3) columns.
-    rows = np.ascontiguousarray(frame.to_unit(vertices).T)
+    rows = np.ascontiguousarray(cube.to_unit(vertices).T)
     a, b, c = (np.take(rows, mesh.triangles[:, k], axis=1) for k in range(3))
     e, f = b - a, c - a
     normal = np.stack([e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]])
     area = np.sqrt(_squares(normal))
     longest = functools.reduce(np.maximum, (_squares(edge) for edge in (e, f, c - b)))
-    resolution = _ROUNDING * (1 + float(np.abs(frame.origin).max() / frame.scale))
+    resolution = _ROUNDING * (1 + float(np.abs(cube.origin).max() / cube.scale))
     area[area <= resolution * np.sqrt(longest)] = 0
     total = np.cumsum(area)
     if total[-1] <= 0:
@@ -119,14 +119,14 @@ def _mesh_surface(mesh: MeshArrays, samples: int) -> Surface:
         covariance=covariance / rms**2,
         vertices=np.ascontiguousarray(((rows - centroid[:, None]) / rms).T),
         triangles=mesh.triangles if area.all() else mesh.triangles[area > 0],
-        centroid=frame.from_unit(centroid),
-        rms_radius=rms * frame.scale,
+        centroid=cube.from_unit(centroid),
+        rms_radius=rms * cube.scale,
     )
 
 
 def _cloud_surface(cloud: PointArrays) -> Surface:
-    frame = Frame.around(cloud.points)
-    points, normals, weights = density_corrected(frame.to_unit(cloud.points), cloud.normals)
+    cube = UnitCube.around(cloud.points)
+    points, normals, weights = density_corrected(cube.to_unit(cloud.points), cloud.normals)
     centroid = weights @ points
     points = points - centroid
     covariance = (points * weights[:, None]).T @ points
@@ -139,8 +139,8 @@ def _cloud_surface(cloud: PointArrays) -> Surface:
         covariance=covariance / rms**2,
         vertices=points,
         triangles=None,
-        centroid=frame.from_unit(centroid),
-        rms_radius=rms * frame.scale,
+        centroid=cube.from_unit(centroid),
+        rms_radius=rms * cube.scale,
     )
 
 

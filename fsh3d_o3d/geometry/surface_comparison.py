@@ -14,13 +14,13 @@ from fsh3d_o3d._validation import Float64Array, IntArray, integer
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, geometry_arrays
 from fsh3d_o3d.geometry.measures import area_samples, enclosed_volume, weld
-from fsh3d_o3d.geometry.rays import Frame, UnitScene
+from fsh3d_o3d.geometry.rays import UnitCube, UnitScene
 from fsh3d_o3d.geometry.topology import EdgeTable
 
 _CHUNK = 2**17  # points at a time, for memory
 _STEPS = 8  # to neighbouring triangles, until none is closer
 _THIN = 8.0  # longest edge over height, beyond which float32 misplaces closest points by more than its own rounding
-_BACK = 1e-5  # how far behind a point, in the unit frame, its rays begin, so as to meet the surface it lies on
+_BACK = 1e-5  # how far behind a point, in the unit cube, its rays begin, so as to meet the surface it lies on
 
 
 @dataclass(frozen=True)
@@ -66,20 +66,20 @@ def surface_error(original: Any, reconstruction: Any, *, samples: int = 100_000,
     first = geometry_arrays(original)[0]
     second = geometry_arrays(reconstruction)[0]
     count = integer(samples, "samples", minimum=1)
-    frame = Frame.around(_positions(first), _positions(second))
+    cube = UnitCube.around(_positions(first), _positions(second))
     sides = []
     if isinstance(first, PointArrays) or isinstance(second, MeshArrays):
-        sides.append(_one_side(first, second, frame, count, seed))
+        sides.append(_one_side(first, second, cube, count, seed))
     if isinstance(second, PointArrays) or isinstance(first, MeshArrays):
-        sides.append(_one_side(second, first, frame, count, seed))
+        sides.append(_one_side(second, first, cube, count, seed))
     volume_error = None
     if isinstance(first, MeshArrays) and isinstance(second, MeshArrays):
         volume_error = _volume_error(first, second)
     mean_square, mean, largest = np.array(sides).T
     return SurfaceError(
-        rmse=math.sqrt(mean_square.mean()) * frame.scale,
-        mae=float(mean.mean()) * frame.scale,
-        maximum=float(largest.max()) * frame.scale,
+        rmse=math.sqrt(mean_square.mean()) * cube.scale,
+        mae=float(mean.mean()) * cube.scale,
+        maximum=float(largest.max()) * cube.scale,
         volume_error=volume_error,
         diagonal=first.diagonal,
     )
@@ -97,8 +97,8 @@ def vertex_distances(geometry: Any, target: Any) -> Float64Array:
     source = geometry_arrays(geometry)[0]
     other = geometry_arrays(target)[0]
     points = source.vertices if isinstance(source, MeshArrays) else source.points
-    frame = Frame.around(points, _positions(other))
-    return np.asarray(_distances(frame.to_unit(points), other, frame) * frame.scale)
+    cube = UnitCube.around(points, _positions(other))
+    return np.asarray(_distances(cube.to_unit(points), other, cube) * cube.scale)
 
 
 def _positions(geometry: MeshArrays | PointArrays) -> Float64Array:
@@ -110,33 +110,33 @@ def _positions(geometry: MeshArrays | PointArrays) -> Float64Array:
 
 
 def _one_side(
-    source: MeshArrays | PointArrays, target: MeshArrays | PointArrays, frame: Frame, count: int, seed: int
+    source: MeshArrays | PointArrays, target: MeshArrays | PointArrays, cube: UnitCube, count: int, seed: int
 ) -> tuple[float, float, float]:
-    """Return mean square, mean and maximum of the distances from one geometry to another, in the frame."""
+    """Return mean square, mean and maximum of the distances from one geometry to another, in the cube."""
     if isinstance(source, PointArrays):
-        measured = _distances(frame.to_unit(source.points), target, frame)
+        measured = _distances(cube.to_unit(source.points), target, cube)
         return float(np.square(measured).mean()), float(measured.mean()), float(measured.max())
-    unit = MeshArrays(frame.to_unit(source.vertices), source.triangles)
+    unit = MeshArrays(cube.to_unit(source.vertices), source.triangles)
     points = np.concatenate((area_samples(unit, count, seed=seed)[0], _positions(unit)))
-    measured = _distances(points, target, frame)
+    measured = _distances(points, target, cube)
     sampled = measured[:count]
     return float(np.square(sampled).mean()), float(sampled.mean()), float(measured.max())
 
 
-def _distances(points: Float64Array, target: MeshArrays | PointArrays, frame: Frame) -> Float64Array:
+def _distances(points: Float64Array, target: MeshArrays | PointArrays, cube: UnitCube) -> Float64Array:
     if isinstance(target, PointArrays):
-        return np.asarray(KDTree(frame.to_unit(target.points)).query(points)[0])
+        return np.asarray(KDTree(cube.to_unit(target.points)).query(points)[0])
     try:
         target = weld(target)  # neighbours are found by shared vertices
     except GeometryError:
         raise GeometryError("the mesh to measure distances to has no area") from None
-    surface = _Surface(frame.to_unit(target.vertices), target.triangles)
+    surface = _Surface(cube.to_unit(target.vertices), target.triangles)
     parts = [surface.distances(points[start : start + _CHUNK]) for start in range(0, len(points), _CHUNK)]
     return np.concatenate(parts)
 
 
 class _Surface:
-    """Triangles in the unit frame, to measure distances to in float64."""
+    """Triangles in the unit cube, to measure distances to in float64."""
 
     def __init__(self, vertices: Float64Array, triangles: IntArray) -> None:
         self._scene = UnitScene(vertices, triangles)

@@ -1,4 +1,4 @@
-"""Fewer points of a cloud that is larger than needed: the same ones in every pose and every order (private)."""
+"""Fewer points of a cloud that is larger than needed: the same ones in every pose and every order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Edges of a triangle mesh and what follows from them, by sorting instead of walking (private)."""
+"""Edges of a triangle mesh and what follows from them, by sorting instead of walking."""
 
 from __future__ import annotations
 

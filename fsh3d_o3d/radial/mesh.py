@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from fsh3d_o3d._validation import Float64Array, IntArray, choice, number, point
 from fsh3d_o3d._validation import directions as checked_directions
 from fsh3d_o3d.errors import GeometryError, NotStarShapedError
-from fsh3d_o3d.geometry import Frame, MeshArrays, UnitScene
+from fsh3d_o3d.geometry import MeshArrays, UnitCube, UnitScene
 from fsh3d_o3d.radial.star import SAME_HIT, visible_area
 from fsh3d_o3d.sphere_map import mapping_obstacles
 
@@ -65,7 +65,7 @@ def sample_radial(
 ) -> RadialSamples:
     """Sample the distance from a centre to a mesh along directions.
 
-    Rays choose the triangle in float32, in a frame about the centre scaled to the mesh; the distance is then that to
+    Rays choose the triangle in float32, in the unit cube about the centre; the distance is then that to
     the triangle's plane in float64, unless the ray grazes it.
 
     Args:
@@ -101,11 +101,11 @@ def sample_radial(
     used = np.zeros(len(mesh.vertices), dtype=np.bool_)
     used[mesh.triangles] = True
     vertices = mesh.vertices if used.all() else np.where(used[:, None], mesh.vertices, mesh.vertices[used.argmax()])
-    frame = Frame.around(vertices, center=middle)
-    scene = UnitScene(frame.to_unit(vertices), mesh.triangles)
+    cube = UnitCube.around(vertices, center=middle)
+    scene = UnitScene(cube.to_unit(vertices), mesh.triangles)
     near, far = scene.radii(ways)
     samples = RadialSamples(
-        radii=(near if behaviour == "innermost" else far) * frame.scale,
+        radii=(near if behaviour == "innermost" else far) * cube.scale,
         hit=~np.isnan(near),
         several=far - near > same,
         center=middle,
@@ -118,7 +118,7 @@ def sample_radial(
     if refused or not samples.hit.any():
         raise NotStarShapedError(_explanation(mesh, scene, ways, samples, behaviour, fillable))
     if not samples.hit.all():
-        samples.radii[~samples.hit] = _filled(ways, samples.radii / frame.scale, samples.hit) * frame.scale
+        samples.radii[~samples.hit] = _filled(ways, samples.radii / cube.scale, samples.hit) * cube.scale
     for array in (samples.radii, samples.hit, samples.several, samples.center):
         array.setflags(write=False)
     return samples

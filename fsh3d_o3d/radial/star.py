@@ -9,7 +9,7 @@ import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, point
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry import EdgeTable, Frame, MeshArrays, UnitScene, area_samples, oriented, weld
+from fsh3d_o3d.geometry import EdgeTable, MeshArrays, UnitCube, UnitScene, area_samples, oriented, weld
 from fsh3d_o3d.radial.star_kernel import FacePlanes, kernel_center
 from fsh3d_o3d.sphere import fibonacci_grid
 
@@ -18,7 +18,7 @@ _DIRECTIONS = 4096
 _SAMPLES = 8192
 _COARSE_SAMPLES = 1024  # to tell candidates apart before the best are looked at closely
 _COARSE_DIRECTIONS = 256
-_ROOM = 0.01  # distance from the surface, in the unit frame, below which a candidate loses in proportion
+_ROOM = 0.01  # distance from the surface, in the unit cube, below which a candidate loses in proportion
 _FINALISTS = 4
 _GRID = 8  # interior candidates: the inner ones of a lattice of this many points along each side of the bounding box
 _REACHED = 1e-4  # a ray that ends within this fraction of its length before a sample has reached it
@@ -82,7 +82,7 @@ def star_center(mesh: MeshArrays, method: Literal["best", "centroid"] | Float64A
         return star_report(mesh, method)
     surface = _Surface(mesh)
     if method == "centroid":
-        return surface.report(surface.frame.from_unit(surface.centroids()[0]), None)
+        return surface.report(surface.cube.from_unit(surface.centroids()[0]), None)
     if method != "best":
         raise ValueError(f"method must be 'best', 'centroid' or a (3,) array, got {method!r}")
     return surface.best()
@@ -91,18 +91,18 @@ def star_center(mesh: MeshArrays, method: Literal["best", "centroid"] | Float64A
 def visible_area(mesh: MeshArrays, center: Float64Array) -> float:
     """Return the fraction of a mesh's area that straight lines from ``center`` (3,) reach."""
     surface = _Surface(mesh)
-    return float(surface.visible(surface.frame.to_unit(point(center, "center"))[None], _SAMPLES)[0])
+    return float(surface.visible(surface.cube.to_unit(point(center, "center"))[None], _SAMPLES)[0])
 
 
 class _Surface:
-    """A mesh in the unit frame about its box, with what the tests share: scene, face planes, area samples."""
+    """A mesh in the unit cube, with what the tests share: scene, face planes, area samples."""
 
     def __init__(self, mesh: MeshArrays) -> None:
         welded = weld(mesh)
         turned = oriented(welded)
         self.mesh = turned or welded
-        self.frame = Frame.around(self.mesh.vertices)
-        vertices = self.frame.to_unit(self.mesh.vertices)
+        self.cube = UnitCube.around(self.mesh.vertices)
+        vertices = self.cube.to_unit(self.mesh.vertices)
         self.unit = MeshArrays(vertices, self.mesh.triangles)
         self.scene = UnitScene(vertices, self.mesh.triangles)
         self.planes = FacePlanes.of(vertices[self.mesh.triangles])
@@ -130,11 +130,11 @@ class _Surface:
 
     def report(self, center: Float64Array, kernel_radius: float | None) -> StarReport:
         """Return the report on a centre given in the coordinates of the mesh."""
-        here = self.frame.to_unit(center)
+        here = self.cube.to_unit(center)
         distance = self.planes.distance(here)
         inside = float(self.planes.area[distance > 0].sum() / self.planes.area.sum()) if self.oriented else 0.0
         clearance = float(distance.min())
-        around = Frame.around(self.mesh.vertices, center=center)
+        around = UnitCube.around(self.mesh.vertices, center=center)
         vertices = around.to_unit(self.mesh.vertices)
         near, far = UnitScene(vertices, self.mesh.triangles).radii(fibonacci_grid(_DIRECTIONS).directions)
         return StarReport(
@@ -144,7 +144,7 @@ class _Surface:
             visible_area=float(self.visible(here[None], _SAMPLES)[0]),
             missed=float(np.isnan(near).mean()),
             multiple=float((far - near > SAME_HIT).mean()),
-            clearance=clearance * self.frame.scale if self.oriented else None,
+            clearance=clearance * self.cube.scale if self.oriented else None,
             kernel_radius=kernel_radius,
         )
 
@@ -162,15 +162,15 @@ class _Surface:
         radius, candidates = None, self.centroids()
         if self.closed:
             kernel, unit_radius = kernel_center(self.planes)
-            radius = unit_radius * self.frame.scale
+            radius = unit_radius * self.cube.scale
             if unit_radius > 0:
-                report = self.report(self.frame.from_unit(kernel), radius)
+                report = self.report(self.cube.from_unit(kernel), radius)
                 if report.exact:
                     return report
             candidates.append(kernel)
         candidates += list(self._interior())
         center = self._most_visible(np.array(candidates))
-        return self.report(self.frame.from_unit(center), radius)
+        return self.report(self.cube.from_unit(center), radius)
 
     def _interior(self) -> Float64Array:
         low, high = self.unit.vertices.min(axis=0), self.unit.vertices.max(axis=0)

@@ -13,13 +13,13 @@ from fsh3d_o3d.geometry import degenerate
 _START = 256  # faces in the first programme
 _ADDED = 256  # violated faces that each round adds
 _ROUNDS = 100
-_TOLERANCE = 1e-9  # of plane distances in the unit frame; HiGHS itself meets constraints to about this
-_BOX = 1.0  # the unit frame's box; keeps the programme bounded for surfaces whose planes leave a way to infinity
+_TOLERANCE = 1e-9  # of plane distances in the unit cube; HiGHS itself meets constraints to about this
+_BOX = 1.0  # half the side of a box around the unit cube; some kernels reach to infinity without it
 
 
 @dataclass(frozen=True, eq=False)
 class FacePlanes:
-    """Planes n·x = d of the faces of a mesh in the unit frame, normals outward and of unit length."""
+    """Planes n·x = d of the faces of a mesh in the unit cube, normals outward and of unit length."""
 
     normals: Float64Array
     """(t, 3) unit normals; zero for faces without area."""

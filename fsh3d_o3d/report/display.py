@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry import Frame, MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, UnitCube
 from fsh3d_o3d.report.colors import css_color
 from fsh3d_o3d.report.rasterise import estimated_normals, unit
 from fsh3d_o3d.report.view import positions
@@ -28,10 +28,10 @@ _ROUNDS = 12
 
 @dataclass(frozen=True, eq=False)
 class Displayed:
-    """A mesh or a cloud as shown: in a unit frame, perhaps with fewer elements."""
+    """A mesh or a cloud as shown: in the unit cube, perhaps with fewer elements."""
 
     points: Float64Array
-    """(n, 3) in the frame."""
+    """(n, 3) in the unit cube."""
     triangles: IntArray | None
     """(t, 3), or None for a cloud."""
     source: IntArray
@@ -52,14 +52,14 @@ class Displayed:
         return f"shown with {self.shown:,} of {self.total:,} {what}"
 
 
-def displayed(geometry: MeshArrays | PointArrays, frame: Frame, most: int | None = None) -> Displayed:
+def displayed(geometry: MeshArrays | PointArrays, cube: UnitCube, most: int | None = None) -> Displayed:
     """Return a geometry for a page, with at most ``most`` triangles or points (by default the constants above)."""
     if isinstance(geometry, PointArrays):
-        return _thinned(frame.to_unit(geometry.points), MOST_POINTS if most is None else most)
+        return _thinned(cube.to_unit(geometry.points), MOST_POINTS if most is None else most)
     limit = MOST_TRIANGLES if most is None else most
     total = len(geometry.triangles)
     used = np.unique(geometry.triangles)
-    points = frame.to_unit(geometry.vertices[used])
+    points = cube.to_unit(geometry.vertices[used])
     triangles = np.searchsorted(used, geometry.triangles)
     if total <= limit:
         return Displayed(points, triangles, used, total)
@@ -67,7 +67,7 @@ def displayed(geometry: MeshArrays | PointArrays, frame: Frame, most: int | None
     if len(triangles) == 0 or len(triangles) > limit:  # as with many loose triangles: every so many of them
         keep = np.linspace(0, total - 1, limit).astype(np.int64)
         kept, triangles = np.unique(geometry.triangles[keep], return_inverse=True)
-        return Displayed(frame.to_unit(geometry.vertices[kept]), triangles.reshape(-1, 3), kept, total)
+        return Displayed(cube.to_unit(geometry.vertices[kept]), triangles.reshape(-1, 3), kept, total)
     nearest = KDTree(points).query(fewer, workers=-1)[1]
     return Displayed(fewer, triangles, used[nearest], total)
 
@@ -151,9 +151,9 @@ def _arrays(vector: Any, kind: Any) -> NDArray[Any]:
     return np.array(np.asarray(vector), dtype=kind).reshape(-1, 3)
 
 
-def common_frame(first: MeshArrays | PointArrays, second: MeshArrays | PointArrays) -> tuple[Frame, float]:
-    """Return a frame about two geometries, and half the side of the cube about its origin that holds both."""
+def common_cube(first: MeshArrays | PointArrays, second: MeshArrays | PointArrays) -> tuple[UnitCube, float]:
+    """Return the unit cube about two geometries, and the largest coordinate of either in it."""
     one, two = positions(first), positions(second)
-    frame = Frame.around(one, two)
-    reach = max(float(np.abs(frame.to_unit(points)).max()) for points in (one, two))
-    return frame, reach
+    cube = UnitCube.around(one, two)
+    reach = max(float(np.abs(cube.to_unit(points)).max()) for points in (one, two))
+    return cube, reach

@@ -15,7 +15,7 @@ from fsh3d_o3d._validation import Float64Array, real_array
 from fsh3d_o3d._version import __version__
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, geometry_arrays
 from fsh3d_o3d.report.colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, color_stops, css_color, error_colors
-from fsh3d_o3d.report.display import Displayed, common_frame, displayed, geometry_json, packed, shaded_points
+from fsh3d_o3d.report.display import Displayed, common_cube, displayed, geometry_json, packed, shaded_points
 from fsh3d_o3d.report.figures import FigureValue, figure_rows, percent_text
 from fsh3d_o3d.report.html import document, escaped, png_source, table
 from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail, side_by_side
@@ -71,8 +71,8 @@ def write_reconstruction_page(
         raise ValueError(f"energies must have shape (b,) with b >= 1 and be >= 0, got {spectrum.shape}")
     relative = distances / (first.diagonal or 1.0)
     top = _scale_end(relative)
-    frame, reach = common_frame(first, second)
-    shapes = {"original": displayed(first, frame), "reconstruction": displayed(second, frame)}
+    cube, reach = common_cube(first, second)
+    shapes = {"original": displayed(first, cube), "reconstruction": displayed(second, cube)}
     pictures = [encode_png(image) for image in _pictures(first, second, relative, top, background=None, size=_STILL)]
     tables = [table("Figures", figure_rows(figures))] if figures else []
     tables += [table("Method and options", figure_rows(options))] if options else []

@@ -15,7 +15,7 @@ from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d._version import __version__
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files import read_geometry_arrays
-from fsh3d_o3d.geometry import Frame, MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, UnitCube
 from fsh3d_o3d.index import Hit
 from fsh3d_o3d.report.colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, css_color
 from fsh3d_o3d.report.display import Displayed, displayed, geometry_json
@@ -71,9 +71,9 @@ def write_search_page(path: str | os.PathLike[str], results: Sequence[SearchResu
         raise ValueError("a page needs at least one result")
     sections, data = [], []
     for number, result in enumerate(results):
-        frame = Frame.around(positions(result.geometry))
-        query = displayed(result.geometry, frame, _MOST)
-        shapes = [_shape(hit, frame) for hit in result.hits]
+        cube = UnitCube.around(positions(result.geometry))
+        query = displayed(result.geometry, cube, _MOST)
+        shapes = [_shape(hit, cube) for hit in result.hits]
         sections.append(_section(number, result, shapes))
         data.append(_overlays(query, shapes))
     title = results[0].title if len(results) == 1 else f"{len(results)} queries"
@@ -103,11 +103,11 @@ def moved(geometry: MeshArrays | PointArrays, transformation: Float64Array) -> M
     return PointArrays(geometry.points @ turn.T + shift, normals, geometry.colors)
 
 
-def _shape(hit: Hit, frame: Frame) -> _Shape:
+def _shape(hit: Hit, cube: UnitCube) -> _Shape:
     try:
         aligned = moved(read_geometry_arrays(hit.path), hit.transformation)
         picture = _picture(aligned, RECONSTRUCTION_COLOR)
-        shape = displayed(aligned, frame, _MOST)
+        shape = displayed(aligned, cube, _MOST)
     except (GeometryError, OSError) as error:
         reason = "not there any more" if isinstance(error, FileNotFoundError) else "cannot be read now"
         return _Shape(hit.thumbnail, f"The file is {reason}: picture as indexed.", None)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, point
-from fsh3d_o3d.geometry import Frame, MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, UnitCube
 
 DEFAULT_DIRECTION = (1.0, -1.5, 0.8)
 """From the geometry towards the viewer: three quarters from the front, a little from above."""
@@ -23,10 +23,10 @@ _MARGIN = 1.04  # of the bounding sphere in the shorter side of the picture
 class View:
     """A direction to look from and a bounding sphere to fit."""
 
-    frame: Frame
-    """Float64 frame of order one about the geometry."""
+    cube: UnitCube
+    """Brings the geometry into the unit cube."""
     radius: float
-    """Radius of the bounding sphere about the frame's origin, in the frame."""
+    """Radius of the bounding sphere about the origin, in the unit cube."""
     axes: Float64Array
     """(3, 3) rows: right, up, towards the viewer."""
 
@@ -48,13 +48,13 @@ class View:
         right = np.cross(upright, towards)
         right /= np.linalg.norm(right)
         used = positions(geometry)
-        frame = Frame.around(used)
-        radius = float(np.sqrt(np.square(frame.to_unit(used)).sum(axis=1).max()))
-        return cls(frame=frame, radius=radius, axes=np.stack((right, np.cross(towards, right), towards)))
+        cube = UnitCube.around(used)
+        radius = float(np.sqrt(np.square(cube.to_unit(used)).sum(axis=1).max()))
+        return cls(cube=cube, radius=radius, axes=np.stack((right, np.cross(towards, right), towards)))
 
     def points(self, points: Float64Array) -> Float64Array:
         """Return points (n, 3) in view space."""
-        return np.asarray(self.frame.to_unit(points) @ self.axes.T / self.radius)
+        return np.asarray(self.cube.to_unit(points) @ self.axes.T / self.radius)
 
     def directions(self, vectors: Float64Array) -> Float64Array:
         """Return vectors (n, 3) in view space, unit length; NaN where they have none."""

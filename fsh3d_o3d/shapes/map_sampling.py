@@ -14,7 +14,7 @@ import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.geometry import Frame
+from fsh3d_o3d.geometry import UnitCube
 from fsh3d_o3d.shapes.decoding import moved
 from fsh3d_o3d.sphere import SphericalHarmonicTransform, fibonacci_grid, grid_size
 from fsh3d_o3d.sphere_map import SphericalMap, locate
@@ -40,6 +40,6 @@ def transform_map(
         samples = np.einsum("mk,mk...->...m", weights, at_vertices[corners])
         return np.asarray(transform.forward(samples), dtype=np.float64)
 
-    frame = Frame.around(mesh.vertices)  # so that neither a far-off origin nor extreme units cost digits
-    positions = moved(transformed(frame.to_unit(mesh.vertices)) * frame.scale, frame.origin)
+    cube = UnitCube.around(mesh.vertices)  # so that neither a far-off origin nor extreme units cost digits
+    positions = moved(transformed(cube.to_unit(mesh.vertices)) * cube.scale, cube.origin)
     return positions, {name: transformed(array) for name, array in values.items()}

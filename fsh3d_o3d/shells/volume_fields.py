@@ -16,9 +16,9 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry import (
     BoolArray,
-    Frame,
     MeshArrays,
     PointArrays,
+    UnitCube,
     UnitScene,
     geometry_arrays,
     measure_mesh,
@@ -145,14 +145,14 @@ def volume_field(
     middle = None if center is None else check.point(center, "center")
     mesh = weld(arrays) if isinstance(arrays, MeshArrays) else None
     positions = arrays.points if isinstance(arrays, PointArrays) else weld(arrays).vertices
-    box = Frame.around(positions)
-    unit = box.to_unit(positions)
+    cube = UnitCube.around(positions)
+    unit = cube.to_unit(positions)
     if middle is None:
         own = _cell_centroid(unit) if mesh is None else measure_mesh(MeshArrays(unit, mesh.triangles)).area_centroid
     else:
-        own = box.to_unit(middle)
+        own = cube.to_unit(middle)
     farthest = float(np.linalg.norm(unit - own, axis=1).max())
-    length = farthest if size is None else size / box.scale
+    length = farthest if size is None else size / cube.scale
     local = (unit - own) / length
     solid = None
     if mesh is not None:
@@ -165,8 +165,8 @@ def volume_field(
         _require_inside(solid)
     return VolumeField(
         field=field,
-        center=box.from_unit(own),
-        scale=length * box.scale,
+        center=cube.from_unit(own),
+        scale=length * cube.scale,
         reach=farthest / length,
         width=softness,
         solid=solid,

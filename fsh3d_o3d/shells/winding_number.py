@@ -23,14 +23,14 @@ from fsh3d_o3d.sphere import fibonacci_grid
 _FAN_SHARE = 0.25  # of a patch's area: larger openings are the shape's own
 _ORIENTATION_RAYS = 40_000
 _MOST_RAYS = 64  # a triangle
-_LIFT = 1e-4  # of rays from the surface they start on, in the unit frame: some hundred float32 steps
+_LIFT = 1e-4  # of rays from the surface they start on, in the unit cube: some hundred float32 steps
 _CLOSED_VOTES, _OPEN_VOTES = 3, 32
 _CHUNK = 2**17
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """Triangles in a unit frame, wound outward, and whether they bound a volume."""
+    """Triangles in the unit cube, wound outward, and whether they bound a volume."""
 
     vertices: Float64Array
     """(v, 3) positions of order one."""
@@ -41,7 +41,7 @@ class Solid:
 
 
 def solid_of(vertices: Float64Array, triangles: IntArray) -> Solid:
-    """Return the solid of welded triangles (t, 3) of vertices (v, 3) in a unit frame."""
+    """Return the solid of welded triangles (t, 3) of vertices (v, 3) in the unit cube."""
     table = EdgeTable(triangles)
     patch, flips = _patches(table)
     if flips.any() or not table.balanced or _volumes(vertices, triangles, patch).min() <= 0:
@@ -53,7 +53,7 @@ def solid_of(vertices: Float64Array, triangles: IntArray) -> Solid:
 
 
 def inside(solid: Solid, points: Float64Array) -> BoolArray:
-    """Return which points (n, 3) of the unit frame have a winding number above one half."""
+    """Return which points (n, 3) of the unit cube have a winding number above one half."""
     scene = _CrossingScene(solid)
     votes = _CLOSED_VOTES if solid.closed else _OPEN_VOTES
     # The poles of the grid look along no axis: rays along an axis graze the faces of boxes.

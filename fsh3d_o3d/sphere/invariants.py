@@ -1,4 +1,4 @@
-"""Rotation invariants of several functions on the sphere together (private)."""
+"""Rotation invariants of several functions on the sphere together."""
 
 from __future__ import annotations
 

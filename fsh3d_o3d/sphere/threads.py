@@ -1,4 +1,4 @@
-"""How many threads a call may use (private)."""
+"""How many threads a call may use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Area balancing: from a valid map of a surface to the sphere to one that gives every part its share (private).
+"""Area balancing: from a valid map of a surface to the sphere to one that gives every part its share.
 
 A conformal map leaves a limb with a speck of the sphere, and band-limited functions then cannot tell its shape.
 ``balance`` minimises the energy of ``_balance_energy`` by Newton's method with the Hessian of every triangle made

@@ -1,4 +1,4 @@
-"""The sparse systems of area balancing: two unknowns a vertex, one pattern for all Newton steps (private)."""
+"""The sparse systems of area balancing: two unknowns a vertex, one pattern for all Newton steps."""
 
 from __future__ import annotations
 

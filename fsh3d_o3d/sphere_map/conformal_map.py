@@ -12,7 +12,7 @@ import numpy as np
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry import Frame, MeshArrays, geometry_arrays
+from fsh3d_o3d.geometry import MeshArrays, UnitCube, geometry_arrays
 from fsh3d_o3d.sphere import single_threaded_blas
 from fsh3d_o3d.sphere_map.balance import AREA_WEIGHT, balance, balance_level
 from fsh3d_o3d.sphere_map.diagnosis import closed_surface
@@ -200,8 +200,8 @@ def _optimised(
 
 def _normalised(mesh: MeshArrays) -> Float64Array:
     """Return the vertices scaled to area 4π, about the middle of their box."""
-    frame = Frame.around(mesh.vertices)
-    vertices = frame.to_unit(mesh.vertices)
+    cube = UnitCube.around(mesh.vertices)
+    vertices = cube.to_unit(mesh.vertices)
     return vertices * math.sqrt(4 * math.pi / float(lumped_mass(vertices, mesh.triangles).sum()))
 
 

@@ -1,4 +1,4 @@
-"""A map of any closed genus-0 triangulation onto the sphere, valid by construction, from coarse to fine (private).
+"""A map of any closed genus-0 triangulation onto the sphere, valid by construction, from coarse to fine.
 
 After the progressive embedding of Praun and Hoppe (2003) and the hierarchical one of Hu, Fu and Liu (2018): a
 tetrahedron is easy to embed, and a vertex that comes back finds its star open. Its star is the fan from the neighbour

@@ -1,4 +1,4 @@
-"""The conformal map by stereographic harmonic start and conformalised mean-curvature flow (private)."""
+"""The conformal map by stereographic harmonic start and conformalised mean-curvature flow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Decimation of a closed genus-0 triangulation down to a tetrahedron, in rounds of independent collapses (private).
+"""Decimation of a closed genus-0 triangulation down to a tetrahedron, in rounds of independent collapses.
 
 A round removes vertices no two of which are adjacent (Dobkin and Kirkpatrick 1985), each by collapsing it onto a
 neighbour, so that a round is a handful of array operations and there are O(log n) of them. A collapse onto u replaces

@@ -1,4 +1,4 @@
-"""Intrinsic Delaunay triangulation: flips edges within the surface, which itself does not change (private).
+"""Intrinsic Delaunay triangulation: flips edges within the surface, which itself does not change.
 
 Fisher, Springborn, Schröder and Bobenko, An Algorithm for the Construction of Intrinsic Delaunay Triangulations, 2007.
 Edges are flipped in rounds of many that share no triangle, each round a handful of array operations.

@@ -1,4 +1,4 @@
-"""Cotangent Laplacians of closed surfaces, and solvers that factorise once (private)."""
+"""Cotangent Laplacians of closed surfaces, and solvers that factorise once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Möbius transformations of the sphere: centring, and a rotation that follows the surface (private)."""
+"""Möbius transformations of the sphere: centring, and a rotation that follows the surface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Relaxation of a sphere map vertex by vertex: cheap steps that even out triangles and cannot turn one over (private).
+"""Relaxation of a sphere map vertex by vertex: cheap steps that even out triangles and cannot turn one over.
 
 With the other vertices held, the area of each triangle at a vertex is linear in the vertex, and its Dirichlet energy
 is quadratic. So both parts of the energy

@@ -1,4 +1,4 @@
-"""Local untangling: lays the surroundings of flipped triangles out evenly again (private)."""
+"""Local untangling: lays the surroundings of flipped triangles out evenly again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a sphere map is one to one, and how far it is from conformal and from area-preserving (private).
+"""Whether a sphere map is one to one, and how far it is from conformal and from area-preserving.
 
 A map takes the vertices of a closed surface to the unit sphere and its triangles to spherical ones. It is one to one,
 *valid*, where no triangle is flipped or flat and the triangles cover the sphere once.

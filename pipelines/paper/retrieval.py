@@ -22,11 +22,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import fsh3d_o3d.retrieval as retrieval
 import numpy as np
 from _common import parser, plt, run, save_figure, save_results, table
 
 import fsh3d_o3d as fsh
-import fsh3d_o3d.retrieval as retrieval
 from fsh3d_o3d.closing import prepare_closed
 from fsh3d_o3d.descriptors import CPSHDDescriptor, CPSHDOption, SHDDescriptor, on_equiangular_grid
 from fsh3d_o3d.evaluation import find_models

@@ -51,7 +51,7 @@ def test_the_kernel_of_a_box_is_the_box():
     best = star_center(shapes.moved(shapes.box((2, 4, 6)), offset=(7, 8, 9)))
     assert best.exact
     assert (best.visible_area, best.inside_fraction, best.missed, best.multiple) == (1, 1, 0, 0)
-    # HiGHS meets its constraints to 1e-7 or so of the unit frame; in practice a vertex solution is exact to 1e-12.
+    # HiGHS meets its constraints to 1e-7 or so of the unit cube; in practice a vertex solution is exact to 1e-12.
     assert best.kernel_radius == pytest.approx(1, abs=1e-9)
     assert best.clearance == pytest.approx(1, abs=1e-9)
     assert best.center[0] == pytest.approx(7, abs=1e-9), "the thin side decides"

@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.geometry.rays import Frame
+from fsh3d_o3d.geometry.rays import UnitCube
 from fsh3d_o3d.report import display as _display
 from fsh3d_o3d.report.display import displayed, geometry_json, packed
 from tests.report.pages import read_page, unpack, write_page
@@ -11,7 +11,7 @@ from tests.report.shapes import ball, ball_points
 
 pytestmark = pytest.mark.usefixtures("small_page")
 
-UNIT = Frame(origin=np.zeros(3), scale=1.0)
+UNIT = UnitCube(origin=np.zeros(3), scale=1.0)
 
 
 def areas(points, triangles):
@@ -76,7 +76,7 @@ def test_page_tells_what_is_left_out_and_keeps_the_errors(tmp_path, monkeypatch)
     shown = data["geometries"]["reconstruction"]
     percent, z = unpack(data["errors"]["percent"]), unpack(shown["z"])
     assert len(percent) == len(z)
-    # The frame's unit is a power of two, here the next after the diameter's.
+    # The cube's unit is a power of two, here the next after the diameter's.
     expected = 100 * np.maximum(z / np.abs(z).max(), 0) / mesh.diagonal
     # Each vertex takes the error of its nearest original, at most half an edge (0.13) away.
     assert np.abs(percent - expected).max() < 100 * 0.1 / mesh.diagonal

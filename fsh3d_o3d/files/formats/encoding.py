@@ -1,4 +1,4 @@
-"""What stands before any format (private): encodings of text, and pointers that stand for a file."""
+"""What stands before any format: encodings of text, and pointers that stand for a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Wavefront OBJ (private): vertices and polygons, or points alone; everything else in it is passed over."""
+"""Wavefront OBJ: vertices and polygons, or points alone; everything else in it is passed over."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lines of an OBJ file that are not statements of the format (private): foreign ones and damaged ones."""
+"""Lines of an OBJ file that are not statements of the format: foreign ones and damaged ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Object File Format of Geomview (private): text and binary, with normals, colours and texture coordinates.
+"""Object File Format of Geomview: text and binary, with normals, colours and texture coordinates.
 
 The format is a stream of numbers, but only the end of the line tells where the colour of a face ends. So files are read
 line by line where they have one vertex or face on each, as nearly all do, and as a stream where they do not.

@@ -1,4 +1,4 @@
-"""Binary OFF (private): Geomview's big-endian numbers, and what other programs write."""
+"""Binary OFF: Geomview's big-endian numbers, and what other programs write."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands on the vertices of an OFF file (private)."""
+"""What stands on the vertices of an OFF file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Point Cloud Data, the format of PCL (private): text, binary and LZF-compressed."""
+"""Point Cloud Data, the format of PCL: text, binary and LZF-compressed."""
 
 from __future__ import annotations
 

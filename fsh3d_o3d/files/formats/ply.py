@@ -1,4 +1,4 @@
-"""Stanford PLY (private): text and binary, polygons, triangle strips and bare points."""
+"""Stanford PLY: text and binary, polygons, triangle strips and bare points."""
 
 from __future__ import annotations
 

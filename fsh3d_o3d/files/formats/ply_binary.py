@@ -1,4 +1,4 @@
-"""Records of binary PLY, with lists inside (private)."""
+"""Records of binary PLY, with lists inside."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Header of PLY (private): the elements of the file and their properties."""
+"""Header of PLY: the elements of the file and their properties."""
 
 from __future__ import annotations
 

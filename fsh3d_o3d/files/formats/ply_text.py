@@ -1,4 +1,4 @@
-"""Data of text PLY (private)."""
+"""Data of text PLY."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Point clouds as text (private): .xyz, .xyzn, .xyzrgb and .pts."""
+"""Point clouds as text: .xyz, .xyzn, .xyzrgb and .pts."""
 
 from __future__ import annotations
 

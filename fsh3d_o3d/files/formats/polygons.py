@@ -1,4 +1,4 @@
-"""Polygons into triangles (private)."""
+"""Polygons into triangles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From numbers of a file to geometry (private): what formats have in common once they are parsed."""
+"""From numbers of a file to geometry: what formats have in common once they are parsed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a parser is given and gives back (private): a file's bytes, what lies beside it, what is to be said."""
+"""What a parser is given and gives back: a file's bytes, what lies beside it, what is to be said."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""STL (private), binary and text: triangles welded where corners are the same to the last bit."""
+"""STL, binary and text: triangles welded where corners are the same to the last bit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Text to numbers, in whole arrays (private).
+"""Text to numbers, in whole arrays.
 
 ``numpy.fromstring`` reads integers ten times faster than floats. A decimal such as ``-0.393421`` is the integer −393421
 divided by 10⁶, and that quotient is correctly rounded as long as both are exact in float64 (Clinger 1990), so decimals

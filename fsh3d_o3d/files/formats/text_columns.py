@@ -1,4 +1,4 @@
-"""Columns of numbers as programs export them (private): separators, names of columns, comments."""
+"""Columns of numbers as programs export them: separators, names of columns, comments."""
 
 from __future__ import annotations
 

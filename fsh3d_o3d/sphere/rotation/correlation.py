@@ -1,4 +1,4 @@
-"""The correlation of functions over all rotations: on a grid of SO(3), and uphill from there (private).
+"""The correlation of functions over all rotations: on a grid of SO(3), and uphill from there.
 
 C(R) = Σ ⟨t, R s⟩ over functions s, t on the sphere is Σ_l ⟨D_l(R), M_l⟩ with products M_l = Σ t_l s_lᵀ, whatever the
 number of functions. Both the grid and the ascent treat R and Rᵀ alike, so that exchanging s and t gives the inverse.

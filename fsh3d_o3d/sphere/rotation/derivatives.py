@@ -1,4 +1,4 @@
-"""Linear forms of Wigner's D: a correlation, its gradient and its Hessian (private).
+"""Linear forms of Wigner's D: a correlation, its gradient and its Hessian.
 
 With products M of real coefficients, C(R) = Σ D(m, m') X(m, m') where X = conj(U) M Uᵀ and U takes real to complex
 coefficients. A small rotation exp(ω) in front acts on the rows of D as exp(−iω·J), so that derivatives of C are the

@@ -1,4 +1,4 @@
-"""Many rotations at once, each with functions of its own (private).
+"""Many rotations at once, each with functions of its own.
 
 Degree l is the middle (2l+1) × (2l+1) part of a (2b−1) × (2b−1) matrix, orders −(b−1) … b−1, zero outside: small
 bandwidths lose little by the padding, and one batched product does the work of a loop over rotations.

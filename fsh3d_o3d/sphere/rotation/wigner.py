@@ -1,4 +1,4 @@
-"""Wigner's D of all degrees of a bandwidth at many rotations at once (private).
+"""Wigner's D of all degrees of a bandwidth at many rotations at once.
 
 D(m, m') = exp(−imα) d(m, m'; β) exp(−im'γ) in the basis of complex harmonics with the Condon–Shortley phase. Rotated
 real functions are real, so D(−m, −m') is the conjugate of D(m, m') but for a sign, and orders m >= 0 are enough: some

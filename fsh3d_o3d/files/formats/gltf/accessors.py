@@ -1,4 +1,4 @@
-"""Arrays of a glTF file (private): accessors, dense and sparse."""
+"""Arrays of a glTF file: accessors, dense and sparse."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Buffers of a glTF file and the parts of them that it names (private): embedded, beside it, or compressed."""
+"""Buffers of a glTF file and the parts of them that it names: embedded, beside it, or compressed."""
 
 from __future__ import annotations
 

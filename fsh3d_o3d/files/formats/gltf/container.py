@@ -1,4 +1,4 @@
-"""The container of a binary glTF file (private): a header and chunks, of which one is JSON and one may be data."""
+"""The container of a binary glTF file: a header and chunks, of which one is JSON and one may be data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How vertices of a glTF mesh move before it is placed (private): morph targets and skins."""
+"""How vertices of a glTF mesh move before it is placed: morph targets and skins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The JSON of a glTF file (private): every look-up in it is checked, and what it requires is known or refused."""
+"""The JSON of a glTF file: every look-up in it is checked, and what it requires is known or refused."""
 
 from __future__ import annotations
 

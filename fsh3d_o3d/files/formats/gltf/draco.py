@@ -1,4 +1,4 @@
-"""Primitives that are compressed with Draco (private). The decoder is native code, loaded when a file needs it."""
+"""Primitives that are compressed with Draco. The decoder is native code, loaded when a file needs it."""
 
 from __future__ import annotations
 

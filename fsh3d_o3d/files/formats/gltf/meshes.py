@@ -1,4 +1,4 @@
-"""Meshes of a glTF file (private): from primitives to triangles and points."""
+"""Meshes of a glTF file: from primitives to triangles and points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Decompression of meshopt streams (private), as the glTF extensions ``…_meshopt_compression`` specify them.
+"""Decompression of meshopt streams, as the glTF extensions ``…_meshopt_compression`` specify them.
 
 Attributes are byte deltas of consecutive items, packed in groups of 16; triangles refer to edges and vertices that
 came just before; indices are deltas of varying length. Streams refer to nothing outside themselves, and what they may

@@ -1,4 +1,4 @@
-"""What meshopt attributes may go through once they are decompressed (private): (n, stride) bytes in and out."""
+"""What meshopt attributes may go through once they are decompressed: (n, stride) bytes in and out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Triangles of a meshopt stream (private): most share an edge with one that came just before."""
+"""Triangles of a meshopt stream: most share an edge with one that came just before."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""glTF 2.0 (private): .gltf and .glb as one mesh, or one cloud where they hold points alone, in scene coordinates.
+"""glTF 2.0: .gltf and .glb as one mesh, or one cloud where they hold points alone, in scene coordinates.
 
 Buffers are embedded or lie in the same folder; nothing else is ever opened. What a scene does is what glTF's nodes,
 instances, morph targets and skins say while no animation plays.

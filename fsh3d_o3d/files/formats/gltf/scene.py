@@ -1,4 +1,4 @@
-"""The scene of a glTF file (private): which meshes it places, how often and where."""
+"""The scene of a glTF file: which meshes it places, how often and where."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Transforms of glTF nodes and instances (private): (…, 3, 4) matrices, many at once."""
+"""Transforms of glTF nodes and instances: (…, 3, 4) matrices, many at once."""
 
 from __future__ import annotations
 
