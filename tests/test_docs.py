@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,21 @@ def test_docstrings_are_understood(site):
         text = path.read_text(encoding="utf-8")
         assert "TypeAliasForwardRef" not in text
         assert "Args:" not in text, f"{path.name}: a section that was not recognised"
+
+
+def test_every_file_that_the_pages_name_exists():
+    there = [path for path in ROOT.rglob("*") if not path.relative_to(ROOT).parts[0].startswith(".")]
+    names = ["/" + path.relative_to(ROOT).as_posix() + "/" * path.is_dir() for path in there]
+    folders = "|".join({path.name for root in (ROOT, ROOT / "fsh3d_o3d") for path in root.iterdir() if path.is_dir()})
+    # A file of somebody else's, a layout of a library, and what running the experiments makes.
+    elsewhere = {"numpy.py", "1/m123/m123.obj", "output/paper/"}
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
+        text = page.read_text(encoding="utf-8")
+        named = set(re.findall(r"`([\w.*-]+/[\w./*-]*)`", text)) | set(re.findall(r"[\w./*-]+\.py\b", text))
+        named |= set(re.findall(rf"(?<![\w./-])(?:{folders})/[\w./*-]*\w\.\w+", text))
+        for name in named - elsewhere:
+            wanted = "*/" + name.removeprefix("../")
+            assert any(fnmatch(path, wanted) for path in names), f"{page.name} names {name}, which is not there"
 
 
 def test_every_page_can_be_reached(site):
