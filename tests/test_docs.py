@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 import re
 import shutil
 import subprocess
@@ -70,6 +71,18 @@ def test_every_file_that_the_pages_name_exists():
         for name in named - elsewhere:
             wanted = "*/" + name.removeprefix("../")
             assert any(fnmatch(path, wanted) for path in names), f"{page.name} names {name}, which is not there"
+
+
+def test_every_name_of_the_package_that_the_pages_give_exists():
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
+        text = page.read_text(encoding="utf-8")
+        for name in re.findall(r"\bfsh\.\w+", text):
+            assert hasattr(fsh, name.removeprefix("fsh.")), f"{page.name}: {name}"
+        for name in re.findall(r"(?<!/)\bfsh3d_o3d(?:\.[a-z]\w+)+", text):
+            pkgutil.resolve_name(name)
+        for module, names in re.findall(r"^from (fsh3d_o3d[.\w]*) import (.+)$", text, flags=re.MULTILINE):
+            for name in names.split(","):
+                pkgutil.resolve_name(f"{module}:{name.strip()}")
 
 
 def test_every_page_can_be_reached(site):

@@ -29,8 +29,9 @@ from _common import parser, plt, run, save_figure, save_results, table
 import fsh3d_o3d as fsh
 from fsh3d_o3d.closing import prepare_closed
 from fsh3d_o3d.descriptors import CPSHDDescriptor, CPSHDOption, SHDDescriptor, on_equiangular_grid
-from fsh3d_o3d.evaluation import find_models
+from fsh3d_o3d.evaluation import RECALL_LEVELS, find_models, read_classification, retrieval_metrics
 from fsh3d_o3d.geometry import MeshArrays, PointArrays
+from fsh3d_o3d.jobs import Descriptor, extract_descriptors
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 TOY = {
@@ -99,7 +100,7 @@ def library(options: argparse.Namespace) -> tuple[list[Path], np.ndarray, set[st
     """Return files, the full name of each one's class, and the classes that are not scored."""
     with tempfile.TemporaryDirectory() as folder:
         file = options.classification or toy_classification(Path(folder))
-        classification = retrieval.read_classification(file)
+        classification = read_classification(file)
     files = find_models(options.models or SAMPLES, classification.models)
     names = np.array([classification.classes[label].full_name for label in classification.labels])
     known = np.array([model in files.paths for model in classification.models])
@@ -110,15 +111,15 @@ def library(options: argparse.Namespace) -> tuple[list[Path], np.ndarray, set[st
 
 def described(
     paths: list[Path], options: argparse.Namespace
-) -> Iterator[tuple[str, retrieval.Descriptor, np.ndarray, np.ndarray]]:
+) -> Iterator[tuple[str, Descriptor, np.ndarray, np.ndarray]]:
     """Yield method, descriptor, its values and the places of the models that could be described."""
     published = fsh.SHDOption.published()
-    methods: dict[str, retrieval.Descriptor] = {
+    methods: dict[str, Descriptor] = {
         "SHD-ESH": SHDDescriptor(on_equiangular_grid(published)),
         "SHD-FSH3D": SHDDescriptor(published),
     }
     for name, descriptor in methods.items():
-        done = retrieval.extract_descriptors(paths, descriptor, workers=options.workers, progress=True)
+        done = extract_descriptors(paths, descriptor, workers=options.workers, progress=True)
         yield name, descriptor, done.descriptors, done.indices
     if options.cpshd:
         balanced = CPSHDOption()
@@ -130,7 +131,7 @@ def described(
             CPSHDDescriptor(balanced),
         )
         joined = Joined(parts, options.cells)
-        done = retrieval.extract_descriptors(paths, joined, workers=options.workers, progress=True)
+        done = extract_descriptors(paths, joined, workers=options.workers, progress=True)
         for failed in done.failed:
             print(f"{Path(failed.path).name}: {failed.reason}")
         names = ("CPSHD-ESH", "CPSHD-FSH3D", "CPSHD, balanced map-ESH", "CPSHD, balanced map-FSH3D")
@@ -165,7 +166,7 @@ def main() -> None:
     for name, descriptor, values, places in described(paths, options):
         distances = descriptor.distances(values, values)
         own = labels[places]
-        metrics = retrieval.retrieval_metrics(distances, own, unscored=miscellaneous)
+        metrics = retrieval_metrics(distances, own, unscored=miscellaneous)
         size = {label: int(np.count_nonzero(own == label)) for label in np.unique(own)}
         scored = np.array([size[label] > 2 and label not in miscellaneous for label in own])
         precision, tier = per_query(distances, own, scored)
@@ -216,10 +217,10 @@ def draw(curves: dict[str, np.ndarray], count: int, folder: Path) -> None:
         kind, grid = name.rsplit("-", 1)
         line = "--" if grid == "FSH3D" else "-"
         width, label = 1 if grid == "ESH" else 2.2, f"{kind}, {grid}"
-        left.plot(retrieval.RECALL_LEVELS, values, line, color=colors[kind], lw=width, label=label)
+        left.plot(RECALL_LEVELS, values, line, color=colors[kind], lw=width, label=label)
         if grid == "FSH3D":
             rise = 100 * (values - curves[f"{kind}-ESH"])
-            right.plot(retrieval.RECALL_LEVELS, rise, ".-", color=colors[kind], label=kind)
+            right.plot(RECALL_LEVELS, rise, ".-", color=colors[kind], label=kind)
     left.set(xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02), title=f"{count} models")
     right.axhline(0, color="black", lw=0.8)
     right.set(xlabel="recall", ylabel="difference of precision, percentage points", xlim=(0, 1), title="FSH3D − ESH")
