@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import fsh3d_o3d.retrieval as retrieval
 import numpy as np
 from _common import parser, plt, run, save_figure, save_results, table
 
