@@ -89,6 +89,15 @@ def analytic_weights(
 
     Warns:
         QuadratureWarning: The conditions are not met to 1e-10; gives the figures and the remedy.
+
+    Example:
+        >>> grid = fsh.fibonacci_grid(6 * 16**2)
+        >>> solution = fsh.analytic_weights(grid, bandwidth=16)
+        >>> solution.converged, solution.negative, solution.residual < 1e-13
+        (True, 0, True)
+        >>> values = grid.directions[:, 0] ** 2
+        >>> np.allclose(solution.weights @ values, 4 * np.pi / 3)  # the integral of x² over the sphere
+        True
     """
     solution = solve_weights(grid, bandwidth, threads=threads, cache=cache)
     warn_if_inexact(solution, grid, stacklevel=3)

@@ -26,6 +26,10 @@ def degree_energies(coefficients: object) -> FloatArray:
 
     Raises:
         ValueError: The last axis is not a square number, or values are not finite.
+
+    Example:
+        >>> fsh.degree_energies([5.0, 0.0, 3.0, 4.0])  # degree 0, then the three orders of degree 1
+        array([5., 5.])
     """
     values, b = check.coefficients(coefficients)
     starts = np.arange(b) ** 2
@@ -42,6 +46,10 @@ def truncate(coefficients: object, bandwidth: int) -> FloatArray:
 
     Raises:
         ValueError: There are fewer degrees than that.
+
+    Example:
+        >>> fsh.truncate(np.arange(9.0), 2)
+        array([0., 1., 2., 3.])
     """
     values, b = check.coefficients(coefficients)
     kept = check.integer(bandwidth, "bandwidth", minimum=1, maximum=b)
@@ -57,6 +65,13 @@ def filter_coefficients(coefficients: object, gain_per_degree: object) -> FloatA
 
     Raises:
         ValueError: Not one finite gain a degree.
+
+    Example:
+        >>> coefficients = np.ones(9)
+        >>> fsh.filter_coefficients(coefficients, fsh.ideal_filter(3, 2))
+        array([1., 1., 1., 1., 0., 0., 0., 0., 0.])
+        >>> fsh.filter_coefficients(coefficients, lambda degree: 1 / (1 + degree)).round(2)
+        array([1.  , 0.5 , 0.5 , 0.5 , 0.33, 0.33, 0.33, 0.33, 0.33])
     """
     values, b = check.coefficients(coefficients)
     given = gain_per_degree(np.arange(b)) if callable(gain_per_degree) else gain_per_degree
@@ -68,13 +83,23 @@ def filter_coefficients(coefficients: object, gain_per_degree: object) -> FloatA
 
 
 def ideal_filter(bandwidth: int, cutoff: int) -> Float64Array:
-    """Gains that keep degrees below ``cutoff`` and drop the rest, (b,). Rings at sharp features."""
+    """Gains that keep degrees below ``cutoff`` and drop the rest, (b,). Rings at sharp features.
+
+    Example:
+        >>> fsh.ideal_filter(5, 3)
+        array([1., 1., 1., 0., 0.])
+    """
     b = check.bandwidth(bandwidth)
     return (np.arange(b) < check.integer(cutoff, "cutoff", minimum=0)).astype(np.float64)
 
 
 def heat_filter(bandwidth: int, time: float) -> Float64Array:
-    """Gains of the heat kernel (the Gaussian on the sphere), exp(−t l(l+1)), (b,); no ringing (Bülow 2004)."""
+    """Gains of the heat kernel (the Gaussian on the sphere), exp(−t l(l+1)), (b,); no ringing (Bülow 2004).
+
+    Example:
+        >>> fsh.heat_filter(4, 0.1).round(3)
+        array([1.   , 0.819, 0.549, 0.301])
+    """
     b = check.bandwidth(bandwidth)
     degree = np.arange(b)
     rate = check.number(time, "time", minimum=0.0)
@@ -83,6 +108,11 @@ def heat_filter(bandwidth: int, time: float) -> Float64Array:
 
 
 def lanczos_filter(bandwidth: int) -> Float64Array:
-    """Lanczos σ factors sin(πl/b)/(πl/b), (b,): less ringing for a little sharpness."""
+    """Lanczos σ factors sin(πl/b)/(πl/b), (b,): less ringing for a little sharpness.
+
+    Example:
+        >>> fsh.lanczos_filter(4).round(3)
+        array([1.   , 0.9  , 0.637, 0.3  ])
+    """
     b = check.bandwidth(bandwidth)
     return np.asarray(np.sinc(np.arange(b) / b))

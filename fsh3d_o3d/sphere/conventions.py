@@ -33,6 +33,11 @@ def to_complex(coefficients: object, convention: Convention = "condon_shortley")
 
     Raises:
         ValueError: The last axis is not a square number, values are not finite, or the convention is unknown.
+
+    Example:
+        >>> real = np.array([1.0, 2.0, 0.0, 3.0])  # of degree 1: orders −1 (sine), 0, 1 (cosine)
+        >>> fsh.to_complex(real).round(3)
+        array([ 1.   +0.j   ,  2.121+1.414j,  0.   +0.j   , -2.121+1.414j])
     """
     check.choice(convention, "convention", ("condon_shortley", "paper"))
     values, b = check.coefficients(coefficients)
@@ -52,6 +57,11 @@ def from_complex(coefficients: object, convention: Convention = "condon_shortley
     Raises:
         ValueError: As for ``to_complex``, or the coefficients are not those of a real function (to 1e-6 of the
             largest).
+
+    Example:
+        >>> real = np.array([1.0, 2.0, 0.0, 3.0])
+        >>> np.allclose(fsh.from_complex(fsh.to_complex(real)), real)
+        True
     """
     check.choice(convention, "convention", ("condon_shortley", "paper"))
     values = np.asarray(check.unmasked(coefficients, "coefficients"))
@@ -75,7 +85,12 @@ def from_complex(coefficients: object, convention: Convention = "condon_shortley
 
 
 def to_packed(coefficients: object) -> ComplexArray:
-    """Return (…, b²) real coefficients in the layout of healpy and ducc0: (…, b(b+1)/2) complex, l_max = b − 1."""
+    """Return (…, b²) real coefficients in the layout of healpy and ducc0: (…, b(b+1)/2) complex, l_max = b − 1.
+
+    Example:
+        >>> fsh.to_packed(np.array([1.0, 2.0, 0.0, 3.0])).round(3)  # (0, 0), (1, 0), (1, 1)
+        array([ 1.   +0.j   ,  0.   +0.j   , -2.121+1.414j])
+    """
     values, b = check.coefficients(coefficients)
     return packed_layout(b).pack(values)
 
@@ -85,6 +100,11 @@ def from_packed(packed: object) -> FloatArray:
 
     Raises:
         ValueError: The last axis is not b(b+1)/2 for any b, or values are not finite.
+
+    Example:
+        >>> real = np.arange(9.0)
+        >>> np.allclose(fsh.from_packed(fsh.to_packed(real)), real)
+        True
     """
     values = np.asarray(check.unmasked(packed, "packed coefficients"))
     size = values.shape[-1] if values.ndim else 0

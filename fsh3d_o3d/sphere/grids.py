@@ -97,6 +97,13 @@ def fibonacci_grid(n: int) -> SphericalGrid:
 
     Raises:
         ValueError: ``n`` is out of range.
+
+    Example:
+        >>> grid = fsh.fibonacci_grid(6 * 16**2)  # the default for bandwidth 16
+        >>> grid.directions.shape
+        (1536, 3)
+        >>> np.allclose(np.linalg.norm(grid.directions, axis=1), 1)
+        True
     """
     n = check.integer(n, "n", minimum=1, maximum=_MAXIMUM_POINTS)
     check.memory(200.0 * n, f"a Fibonacci grid of {n} points")
@@ -135,6 +142,12 @@ def equiangular_grid(bandwidth: int) -> SphericalGrid:
 
     Raises:
         ValueError: ``bandwidth`` is out of range.
+
+    Example:
+        >>> grid = fsh.equiangular_grid(8)
+        >>> transform = fsh.SphericalHarmonicTransform(8, grid=grid, weights=fsh.driscoll_healy_weights(8))
+        >>> len(grid), transform.forward(np.ones(256)).shape
+        (256, (64,))
     """
     b = check.bandwidth(bandwidth)
     check.memory(200.0 * 4 * b * b, f"an equiangular grid of {4 * b * b} points")
@@ -156,6 +169,10 @@ def healpix_grid(nside: int) -> SphericalGrid:
     """Return the HEALPix pixel centres in ring order, n = 12·nside² (Górski et al. 2005).
 
     Any ``nside`` from 1 on is valid in ring order, not only powers of two.
+
+    Example:
+        >>> [len(fsh.healpix_grid(nside)) for nside in (1, 2, 4, 20)]
+        [12, 48, 192, 4800]
     """
     nside = check.integer(nside, "nside", minimum=1, maximum=2048)
     check.memory(200.0 * 12 * nside * nside, f"a HEALPix grid of {12 * nside * nside} points")
@@ -173,6 +190,10 @@ def icosahedral_grid(level: int) -> SphericalGrid:
     """Return the vertices of a geodesic icosahedron whose edges are split 3·2^k times, n = 90·4^k + 2.
 
     The paper's k = 3 gives its 5762 points.
+
+    Example:
+        >>> [len(fsh.icosahedral_grid(level)) for level in (0, 1, 2, 3)]
+        [92, 362, 1442, 5762]
     """
     level = check.integer(level, "level", minimum=0, maximum=8)
     directions, _ = icosphere(3 * 2**level)
@@ -180,7 +201,13 @@ def icosahedral_grid(level: int) -> SphericalGrid:
 
 
 def cube_grid(k: int) -> SphericalGrid:
-    """Return the cell centres of an equiangular cubed sphere, n = 6k² (gnomonic projection, equal angles)."""
+    """Return the cell centres of an equiangular cubed sphere, n = 6k² (gnomonic projection, equal angles).
+
+    Example:
+        >>> grid = fsh.cube_grid(28)
+        >>> len(grid), grid.name
+        (4704, 'cube')
+    """
     k = check.integer(k, "k", minimum=1, maximum=4000)
     check.memory(300.0 * 6 * k * k, f"a cube grid of {6 * k * k} points")
     return _cube_grid(k)
@@ -201,6 +228,13 @@ def grid_from_directions(directions: object, *, name: str = "scattered") -> Sphe
 
     Raises:
         ValueError: Not of shape (n, 3), not finite, or not unit vectors.
+
+    Example:
+        >>> points = np.random.default_rng(0).normal(size=(500, 3))
+        >>> grid = fsh.grid_from_directions(points / np.linalg.norm(points, axis=1, keepdims=True), name="scan")
+        >>> fit = fsh.fit_coefficients(grid.directions[:, 2], grid, bandwidth=4)  # samples of z
+        >>> np.allclose(fsh.evaluate(fit.coefficients, np.eye(3)), [0, 0, 1])
+        True
     """
     vectors = check.directions(directions)
     colatitude = np.arctan2(np.hypot(vectors[:, 0], vectors[:, 1]), vectors[:, 2])

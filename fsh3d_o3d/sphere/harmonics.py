@@ -37,6 +37,13 @@ def spherical_harmonics(directions: object, bandwidth: int) -> Float64Array:
     Raises:
         ValueError: Directions are not unit vectors, or the bandwidth is out of range.
         MemoryEstimateError: The matrix would not fit.
+
+    Example:
+        >>> grid = fsh.fibonacci_grid(200)
+        >>> Y = fsh.spherical_harmonics(grid.directions, 4)
+        >>> weights = fsh.analytic_weights(grid, 4).weights
+        >>> np.allclose(Y.T @ (weights[:, None] * Y), np.eye(16))  # orthonormal
+        True
     """
     b = check.integer(bandwidth, "bandwidth", minimum=1, maximum=MAXIMUM_RECURSION)
     vectors = check.directions(directions)
@@ -49,7 +56,15 @@ def spherical_harmonics(directions: object, bandwidth: int) -> Float64Array:
 
 
 def degrees_and_orders(bandwidth: int) -> tuple[IntArray, IntArray]:
-    """Return the degree l and order m of each of the b² coefficients, two (b²,) int64 arrays."""
+    """Return the degree l and order m of each of the b² coefficients, two (b²,) int64 arrays.
+
+    Example:
+        >>> degrees, orders = fsh.degrees_and_orders(3)
+        >>> degrees
+        array([0, 1, 1, 1, 2, 2, 2, 2, 2])
+        >>> orders
+        array([ 0, -1,  0,  1, -2, -1,  0,  1,  2])
+    """
     b = check.bandwidth(bandwidth)
     index = np.arange(b * b)
     degree = np.sqrt(index).astype(np.int64)

@@ -21,6 +21,13 @@ def icosphere(frequency: int) -> tuple[Float64Array, IntArray]:
 
     Raises:
         ValueError: ``frequency`` is out of range.
+
+    Example:
+        >>> directions, triangles = fsh.icosphere(4)
+        >>> directions.shape, triangles.shape
+        ((162, 3), (320, 3))
+        >>> bool((np.linalg.det(directions[triangles]) > 0).all())  # all turned outwards
+        True
     """
     f = check.integer(frequency, "frequency", minimum=1, maximum=2000)
     check.memory(3000.0 * f * f, f"an icosphere of {10 * f * f + 2} points")

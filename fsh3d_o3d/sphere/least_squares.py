@@ -66,6 +66,16 @@ def fit_coefficients(
 
     Warns:
         ConvergenceWarning: The steps ran out: the samples leave too much open for so little smoothness.
+
+    Example:
+        >>> directions = fsh.fibonacci_grid(1000).directions
+        >>> seen = directions[directions[:, 2] > -0.8]  # a hole around the south pole
+        >>> fit = fsh.fit_coefficients(1 + seen[:, 0] * seen[:, 1], seen, bandwidth=4)
+        >>> fit.converged, fit.coefficients.shape
+        (True, (16,))
+        >>> x, y = np.sqrt(0.5), -np.sqrt(0.5)
+        >>> np.allclose(fsh.evaluate(fit.coefficients, [[x, y, 0], [0, 0, -1]]), [0.5, 1])
+        True
     """
     b = check.bandwidth(bandwidth)
     grid = directions if isinstance(directions, SphericalGrid) else grid_from_directions(directions)

@@ -42,6 +42,17 @@ class SphericalHarmonicTransform:
     Raises:
         TypeError, ValueError: An argument is of the wrong type, out of range, or of the wrong shape.
         MemoryEstimateError: The transform would not fit in memory.
+
+    Example:
+        >>> transform = fsh.SphericalHarmonicTransform(bandwidth=16)
+        >>> x, y, z = transform.grid.directions.T
+        >>> coefficients = transform.forward(x * y + z)
+        >>> len(x), len(coefficients)
+        (1536, 256)
+        >>> print(fsh.degree_energies(coefficients)[:4].round(3))  # z is of degree 1, x y of degree 2
+        [0.    2.047 0.915 0.   ]
+        >>> np.allclose(transform.inverse(coefficients), x * y + z)
+        True
     """
 
     def __init__(
@@ -147,6 +158,14 @@ def evaluate(coefficients: object, directions: object, *, threads: int | None = 
 
     Raises:
         ValueError: Wrong shapes, values that are not finite, or directions that are not unit vectors.
+
+    Example:
+        >>> coefficients = np.zeros(16)
+        >>> coefficients[2] = np.sqrt(4 * np.pi / 3)  # degree 1, order 0: the function z
+        >>> np.allclose(fsh.evaluate(coefficients, np.eye(3)), [0, 0, 1])
+        True
+        >>> fsh.evaluate([coefficients, -coefficients], fsh.fibonacci_grid(100)).shape
+        (2, 100)
     """
     given, b = check.coefficients(coefficients)
     check.bandwidth(b)
@@ -161,6 +180,12 @@ def evaluate_gradient(coefficients: object, directions: object) -> Float64Array:
 
     Raises:
         ValueError: Wrong shapes, values that are not finite, or directions that are not unit vectors.
+
+    Example:
+        >>> coefficients = np.zeros(16)
+        >>> coefficients[2] = np.sqrt(4 * np.pi / 3)  # the function z
+        >>> np.allclose(fsh.evaluate_gradient(coefficients, np.eye(3)), [[0, 0, 1], [0, 0, 1], [0, 0, 0]])
+        True
     """
     given, b = check.coefficients(coefficients)
     if given.ndim != 1:

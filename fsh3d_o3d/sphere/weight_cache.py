@@ -38,12 +38,26 @@ _memory: OrderedDict[str, WeightSolution] = OrderedDict()
 
 
 def weight_cache_directory() -> Path:
-    """Return the folder where solved weights are kept; it need not exist."""
+    """Return the folder where solved weights are kept; it need not exist.
+
+    Example:
+        >>> removed = fsh.clear_weight_cache()
+        >>> solution = fsh.analytic_weights(fsh.fibonacci_grid(600), bandwidth=10)
+        >>> len(list(fsh.weight_cache_directory().iterdir()))
+        1
+    """
     return cache_folder() / "weights"
 
 
 def clear_weight_cache() -> int:
-    """Remove every solution from memory and disk, and what killed processes left; returns the number of files."""
+    """Remove every solution from memory and disk, and what killed processes left; returns the number of files.
+
+    Example:
+        >>> removed = fsh.clear_weight_cache()  # what there was before
+        >>> solution = fsh.analytic_weights(fsh.fibonacci_grid(600), bandwidth=10)
+        >>> fsh.clear_weight_cache()
+        1
+    """
     with _lock:
         _memory.clear()
     removed = 0

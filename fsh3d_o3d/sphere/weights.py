@@ -13,7 +13,13 @@ __all__ = ["area_weights", "driscoll_healy_weights", "equal_weights"]
 
 
 def equal_weights(grid: SphericalGrid) -> Float64Array:
-    """Return the weight 4π/n for every point of a grid, (n,) (Swinbank and Purser 2006)."""
+    """Return the weight 4π/n for every point of a grid, (n,) (Swinbank and Purser 2006).
+
+    Example:
+        >>> grid = fsh.healpix_grid(2)
+        >>> np.allclose(fsh.equal_weights(grid), 4 * np.pi / 48)
+        True
+    """
     return np.full(len(require_grid(grid)), 4 * np.pi / len(grid))
 
 
@@ -22,6 +28,11 @@ def area_weights(grid: SphericalGrid) -> Float64Array:
 
     Raises:
         ValueError: Fewer than four points, duplicate points, or points that all lie on one circle.
+
+    Example:
+        >>> weights = fsh.area_weights(fsh.cube_grid(8))
+        >>> print(f"{weights.sum():.4f}, {weights.max() / weights.min():.2f}")  # 4π; cells near corners are smaller
+        12.5664, 1.32
     """
     require_grid(grid)
     try:
@@ -38,6 +49,11 @@ def driscoll_healy_weights(bandwidth: int) -> Float64Array:
 
     Raises:
         ValueError: ``bandwidth`` is out of range.
+
+    Example:
+        >>> z = fsh.equiangular_grid(8).directions[:, 2]
+        >>> np.allclose(fsh.driscoll_healy_weights(8) @ z**2, 4 * np.pi / 3)  # the integral of z² over the sphere
+        True
     """
     b = check.bandwidth(bandwidth)
     theta = np.pi * (2 * np.arange(2 * b) + 1) / (4 * b)

@@ -26,6 +26,12 @@ def aligned_distance(first: object, second: object, *, bandwidth: int = 8, refle
 
     Raises:
         ValueError: Different shapes, or not finite.
+
+    Example:
+        >>> coefficients = np.random.default_rng(0).normal(size=64)
+        >>> turned = fsh.rotate_coefficients(coefficients, [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+        >>> print(f"{np.linalg.norm(turned - coefficients):.1f}, {fsh.aligned_distance(turned, coefficients):.1f}")
+        10.3, 0.0
     """
     (left, b), (right, other) = (
         check.coefficients(rows, name) for rows, name in ((first, "first"), (second, "second"))

@@ -31,6 +31,15 @@ def rotate_coefficients(coefficients: object, rotation: object, *, threads: int 
     Raises:
         ValueError: Wrong shapes, values that are not finite, or R is no rotation (a reflection included: see
             ``reflect_coefficients``).
+
+    Example:
+        >>> coefficients = np.random.default_rng(0).normal(size=16)
+        >>> R = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])  # x to y
+        >>> turned = fsh.rotate_coefficients(coefficients, R)
+        >>> np.allclose(fsh.evaluate(turned, [[0, 1, 0]]), fsh.evaluate(coefficients, [[1, 0, 0]]))
+        True
+        >>> np.allclose(fsh.degree_energies(turned), fsh.degree_energies(coefficients))
+        True
     """
     values, b = check.coefficients(coefficients)
     alpha, beta, gamma = (float(angle[0]) for angle in euler_angles(check.rotation(rotation)[None]))
@@ -53,6 +62,13 @@ def reflect_coefficients(coefficients: object) -> FloatArray:
     """Return the coefficients of f'(ω) = f(−ω), the reflection through the origin: odd degrees change sign.
 
     With a rotation it gives every reflection: a matrix Q of determinant −1 acts as the rotation −Q and this.
+
+    Example:
+        >>> coefficients = np.random.default_rng(0).normal(size=16)
+        >>> directions = np.eye(3)
+        >>> reflected = fsh.evaluate(fsh.reflect_coefficients(coefficients), directions)
+        >>> np.allclose(reflected, fsh.evaluate(coefficients, -directions))
+        True
     """
     values, b = check.coefficients(coefficients)
     return np.asarray(values * parity(b).astype(values.dtype))

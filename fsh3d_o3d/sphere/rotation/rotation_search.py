@@ -68,6 +68,15 @@ def estimate_rotation(
     Raises:
         ValueError: Different numbers of functions; functions that are constant on the sphere, which every rotation
             leaves alone; not finite.
+
+    Example:
+        >>> coefficients = np.random.default_rng(0).normal(size=64)
+        >>> R = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+        >>> estimate = fsh.estimate_rotation(coefficients, fsh.rotate_coefficients(coefficients, R))
+        >>> np.allclose(estimate.rotation, R, atol=1e-6)
+        True
+        >>> print(f"{estimate.correlation:.3f}, ahead by {estimate.margin:.1f}")
+        1.000, ahead by 0.4
     """
     kept = check.integer(maxima, "maxima", minimum=1, maximum=_MOST)
     left, right, b = _pair(source, target, bandwidth)
@@ -106,6 +115,15 @@ def estimate_rotations(
 
     Raises:
         ValueError: Wrong shapes, not finite.
+
+    Example:
+        >>> target = np.random.default_rng(0).normal(size=(2, 36))  # two shells
+        >>> R = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+        >>> rotations, products = fsh.estimate_rotations([target, fsh.rotate_coefficients(target, R)], target)
+        >>> np.allclose(rotations, [np.eye(3), R.T], atol=1e-3)
+        True
+        >>> products.shape
+        (2,)
     """
     right, b = check.coefficients(target, "target")
     left, _ = check.coefficients(sources, "sources")

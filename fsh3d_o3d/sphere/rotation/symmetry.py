@@ -100,6 +100,15 @@ def find_symmetries(coefficients: object, *, threshold: float = 0.98, bandwidth:
 
     Raises:
         ValueError: Wrong shape, not finite, or zero everywhere.
+
+    Example:
+        >>> transform = fsh.SphericalHarmonicTransform(16)
+        >>> cube = 1 / np.abs(transform.grid.directions).max(axis=1)  # the distance from its centre to its surface
+        >>> report = fsh.find_symmetries(transform.forward(cube))
+        >>> [axis.order for axis in report.axes], len(report.planes)
+        ([4, 4, 4, 3, 3, 3, 3, 2, 2, 2, 2, 2, 2], 9)
+        >>> report.is_symmetric, report.of_revolution
+        (True, False)
     """
     values, b = check.coefficients(coefficients)
     limit = check.number(threshold, "threshold", minimum=0.0, maximum=1.0)

@@ -1,0 +1,89 @@
+"""Every public function and class shows how it is used, and what it shows runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import doctest
+import inspect
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fsh3d_o3d as fsh
+
+SAMPLES = Path(__file__).parents[1] / "samples"
+FOLDERS = ("sphere",)
+"""Of the package, whose public names are held to this so far."""
+PUBLIC = {name: getattr(fsh, name) for name in fsh.__all__ if callable(getattr(fsh, name))}
+SHOWN = [name for name, value in PUBLIC.items() if value.__module__.split(".")[1] in FOLDERS]
+
+
+def examples(name: str) -> list[doctest.DocTest]:
+    """What the docstrings of a function, or of a class and its methods, show, in the order in which it stands."""
+    found = doctest.DocTestFinder().find(PUBLIC[name], name, module=False, globs={})
+    return sorted((test for test in found if test.examples), key=lambda test: test.lineno or 0)
+
+
+def shown(name: str) -> str:
+    """The code of these examples."""
+    return "".join(example.source for test in examples(name) for example in test.examples)
+
+
+def methods(value: object) -> list[str]:
+    """Names of the public methods of a class."""
+    own = vars(value).items() if inspect.isclass(value) else ()
+    return [
+        name
+        for name, member in own
+        if not name.startswith("_") and (inspect.isfunction(member) or isinstance(member, (classmethod, staticmethod)))
+    ]
+
+
+def is_result(value: object) -> bool:
+    """Whether this is a value that functions return and nobody makes: frozen, with fields that have to be given."""
+    if not dataclasses.is_dataclass(value) or any(isinstance(member, classmethod) for member in vars(value).values()):
+        return False
+    missing = (dataclasses.MISSING, dataclasses.MISSING)
+    return any((field.default, field.default_factory) == missing for field in dataclasses.fields(value))
+
+
+def is_error(value: object) -> bool:
+    return inspect.isclass(value) and issubclass(value, Exception)
+
+
+def returned(value: object) -> str:
+    """What a function or the methods of a class return, or what the fields of a result hold, as it is written."""
+    if is_result(value):
+        return " ".join(str(field.type) for field in dataclasses.fields(value))
+    functions = [getattr(value, name) for name in methods(value)] if inspect.isclass(value) else [value]
+    return " ".join(str(inspect.signature(function).return_annotation) for function in functions)
+
+
+@pytest.mark.parametrize("name", [name for name in SHOWN if not is_error(PUBLIC[name])])
+def test_every_public_name_shows_its_use(name):
+    value = PUBLIC[name]
+    everything = "".join(map(shown, PUBLIC))
+    if is_result(value):
+        makers = [other for other in PUBLIC if other != name and re.search(rf"\b{name}\b", returned(PUBLIC[other]))]
+        assert makers, f"{name}: nothing public returns it; show how it is made"
+    else:
+        assert re.search(rf"\bfsh\.{name}\b", shown(name)), f"{name}: its docstring has no example of it"
+    for method in methods(value):
+        code = everything if is_result(value) else shown(name)
+        assert re.search(rf"\.{method}\(", code), f"{name}.{method}: no example calls it"
+
+
+@pytest.mark.parametrize("name", [name for name in SHOWN if examples(name)])
+def test_example_runs(name, tmp_path, monkeypatch):
+    """Methods go on where their class's example ends."""
+    (tmp_path / "samples").symlink_to(SAMPLES)
+    monkeypatch.chdir(tmp_path)
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+    names, report = {"fsh": fsh, "np": np}, []
+    for test in examples(name):
+        assert not any(doctest.SKIP in example.options for example in test.examples), "an example that never runs"
+        test.globs = names
+        runner.run(test, out=report.append, clear_globs=False)
+    assert not report, "".join(report)
