@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import open3d as o3d
 import pymeshlab
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d._open3d import open3d
-from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.files import read_geometry_arrays
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, area_samples, weld
 from fsh3d_o3d.registration import plain_surface, resolved_surface, shell_coefficients
@@ -39,7 +39,7 @@ class Pair:
     """The shape."""
     target: MeshArrays | PointArrays
     """Its copy: scale · rotation · x + shift, changed as the kind says."""
-    rotation: Float64Array
+    rotation: NDArray[np.float64]
     """(3, 3), the truth."""
     scale: float
     """The truth."""
@@ -104,7 +104,7 @@ def _remeshed(mesh: MeshArrays, _: np.random.Generator) -> MeshArrays:
 
 def _decimated(mesh: MeshArrays, _: np.random.Generator) -> MeshArrays:
     """A fifth of the triangles (Open3D's quadric decimation)."""
-    o3d, welded = open3d(), weld(mesh)
+    welded = weld(mesh)
     legacy = o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector(np.array(welded.vertices)),
         o3d.utility.Vector3iVector(welded.triangles.astype(np.int32)),

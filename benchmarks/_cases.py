@@ -8,9 +8,9 @@ from typing import Any
 
 import ducc0
 import numpy as np
+from numpy.typing import NDArray
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d._validation import Float64Array
 
 TOLERANCE = {"float64": 3e-13, "float32": 2e-6}
 """epsilon asked of ducc0, ours and the peer's alike."""
@@ -24,9 +24,9 @@ class FibonacciCase:
     """b."""
     grid: fsh.SphericalGrid
     """6b² points."""
-    weights: Float64Array
+    weights: NDArray[np.float64]
     """(n,) analytic."""
-    locations: Float64Array
+    locations: NDArray[np.float64]
     """(n, 2) colatitude and longitude, as ducc0 takes them."""
 
 
@@ -38,7 +38,7 @@ def fibonacci_case(bandwidth: int) -> FibonacciCase:
     return FibonacciCase(bandwidth, grid, weights, np.stack([grid.colatitude, grid.longitude], axis=1))
 
 
-def random_coefficients(bandwidth: int, batch: int = 1, seed: int = 1) -> Float64Array:
+def random_coefficients(bandwidth: int, batch: int = 1, seed: int = 1) -> NDArray[np.float64]:
     """Return (batch, b²) independent standard normal coefficients."""
     return np.random.default_rng([seed, bandwidth]).standard_normal((batch, bandwidth**2))
 
@@ -49,14 +49,14 @@ def relative_error(found: Any, expected: Any) -> float:
     return float(np.linalg.norm(difference) / np.linalg.norm(expected))
 
 
-def ducc0_adjoint(values: Any, locations: Float64Array, lmax: int, threads: int) -> Any:
+def ducc0_adjoint(values: Any, locations: NDArray[np.float64], lmax: int, threads: int) -> Any:
     """Return Σ_j v_j conj Y(ω_j) of one function, packed."""
     return ducc0.sht.adjoint_synthesis_general(
         map=values[None], spin=0, lmax=lmax, loc=locations, epsilon=TOLERANCE[values.dtype.name], nthreads=threads
     )[0]
 
 
-def ducc0_synthesis(packed: Any, locations: Float64Array, lmax: int, threads: int) -> Any:
+def ducc0_synthesis(packed: Any, locations: NDArray[np.float64], lmax: int, threads: int) -> Any:
     """Return the values of one function from its packed coefficients."""
     name = "float32" if packed.dtype == np.complex64 else "float64"
     return ducc0.sht.synthesis_general(

@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 import fsh3d_o3d as fsh
 from benchmarks._measure import limited
 from benchmarks._table import Cell, Check, Column, Row, Table
-from fsh3d_o3d._open3d import open3d
-from fsh3d_o3d._validation import Float64Array, FloatArray
 from fsh3d_o3d.descriptors import SHDDescriptor
 from fsh3d_o3d.files import read_geometry_arrays
 from fsh3d_o3d.geometry import MeshArrays, area_samples
@@ -51,9 +51,9 @@ _LEAST_BEHIND = 0.2  # first tier of ours less that of a peer, on the benchmark;
 class _Method:
     """One way to describe and compare."""
 
-    describe: Callable[[MeshArrays], FloatArray]
+    describe: Callable[[MeshArrays], NDArray[np.float32] | NDArray[np.float64]]
     """A mesh in, a vector (d,) out."""
-    distances: Callable[[Any], Float64Array]
+    distances: Callable[[Any], NDArray[np.float64]]
     """All vectors (n, d) in, distances (n, n) out."""
 
 
@@ -125,7 +125,7 @@ def _methods() -> dict[str, _Method]:
     return methods
 
 
-def _tried(method: _Method, meshes: list[MeshArrays]) -> tuple[Float64Array, float, list[float]]:
+def _tried(method: _Method, meshes: list[MeshArrays]) -> tuple[NDArray[np.float64], float, list[float]]:
     """Distances (n, n), seconds a query, and seconds of each description."""
     with limited(1):
         method.describe(meshes[0])  # plans are made once
@@ -139,13 +139,12 @@ def _tried(method: _Method, meshes: list[MeshArrays]) -> tuple[Float64Array, flo
         return distances, (time.process_time() - begin) / len(meshes), seconds
 
 
-def _all_distances(descriptor: SHDDescriptor, rows: Any) -> Float64Array:
+def _all_distances(descriptor: SHDDescriptor, rows: Any) -> NDArray[np.float64]:
     return descriptor.distances(rows, rows)
 
 
-def _mean_fpfh(mesh: MeshArrays) -> Float64Array:
+def _mean_fpfh(mesh: MeshArrays) -> NDArray[np.float64]:
     """The mean (33,) of Open3D's fast point feature histograms over a surface."""
-    o3d = open3d()
     points, _ = area_samples(_unit(mesh), _POINTS)
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(_RADIUS / 2.5, 30))
@@ -155,7 +154,7 @@ def _mean_fpfh(mesh: MeshArrays) -> Float64Array:
     return np.asarray(feature.data.mean(axis=1))
 
 
-def _identifier(mesh: MeshArrays) -> Float64Array:
+def _identifier(mesh: MeshArrays) -> NDArray[np.float64]:
     """The seven numbers of trimesh, which hold the size and so need a common one."""
     import trimesh
 
@@ -165,7 +164,7 @@ def _identifier(mesh: MeshArrays) -> Float64Array:
     return np.asarray(np.nan_to_num(numbers, posinf=0.0, neginf=0.0))
 
 
-def _standardised(rows: Float64Array) -> Float64Array:
+def _standardised(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """L1 distances of numbers of different kinds, by their ranks: a few are far off for broken models."""
     ranks = rows.argsort(axis=0, kind="stable").argsort(axis=0, kind="stable").astype(np.float64)
     return np.asarray(cdist(ranks, ranks, "cityblock"))
@@ -194,7 +193,7 @@ def _princeton() -> tuple[list[MeshArrays], list[str], tuple[str, ...]]:
 
 def _versions(count: int) -> tuple[list[MeshArrays], list[str], tuple[str, ...]]:
     """Samples in several versions: turned, scaled, and decimated to ever fewer triangles."""
-    o3d, rng = open3d(), np.random.default_rng(5)
+    rng = np.random.default_rng(5)
     meshes, labels = [], []
     for name in _BODIES[:count]:
         mesh = fsh.read_geometry(SAMPLES / name)

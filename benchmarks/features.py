@@ -12,11 +12,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import fsh3d_o3d as fsh
 from benchmarks._table import Cell, Check, Column, Row, Table
-from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.files import read_geometry_arrays
 from fsh3d_o3d.geometry import MeshArrays
 
@@ -71,7 +71,7 @@ def run(*, quick: bool = False) -> Iterator[Table]:
     )
 
 
-def _changes(meshes: list[MeshArrays], option: fsh.SHDOption, turns: int) -> tuple[Float64Array, float]:
+def _changes(meshes: list[MeshArrays], option: fsh.SHDOption, turns: int) -> tuple[NDArray[np.float64], float]:
     """Relative L2 changes, one a mesh and rotation, and seconds a feature."""
     rotations = Rotation.random(turns, rng=np.random.default_rng(7)).as_matrix()
     fsh.shd_descriptor(meshes[0], option)  # plans are made once

@@ -19,7 +19,6 @@ from scipy.special import sph_harm_y
 import fsh3d_o3d as fsh
 from benchmarks._measure import interleave, limited
 from benchmarks._table import Cell, Check, Column, Curve, Plot, Row, Table
-from fsh3d_o3d._validation import Float64Array
 
 
 def run(*, quick: bool = False) -> Iterator[Table]:
@@ -88,7 +87,7 @@ def run(*, quick: bool = False) -> Iterator[Table]:
     )
 
 
-def scipy_harmonics(theta: Float64Array, phi: Float64Array, bandwidth: int) -> Float64Array:
+def scipy_harmonics(theta: NDArray[np.float64], phi: NDArray[np.float64], bandwidth: int) -> NDArray[np.float64]:
     """Return SciPy's harmonics in our real layout at colatitudes and longitudes (n,), (n, b²)."""
     degree, order = fsh.degrees_and_orders(bandwidth)
     kept = order >= 0
@@ -101,7 +100,7 @@ def scipy_harmonics(theta: Float64Array, phi: Float64Array, bandwidth: int) -> F
     return result
 
 
-def extended_harmonics(directions: Float64Array, bandwidth: int) -> NDArray[np.longdouble]:
+def extended_harmonics(directions: NDArray[np.float64], bandwidth: int) -> NDArray[np.longdouble]:
     """Return the harmonics in extended precision, (n, b²).
 
     P(l, m) by (l − m) P(l, m) = (2l − 1) z P(l−1, m) − (l + m − 1) P(l−2, m) from P(m, m) = (2m − 1)!! ρ^m, normalised

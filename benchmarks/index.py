@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
+import fsh3d_o3d as fsh
 from benchmarks._measure import interleave
 from benchmarks._table import Check, Column, Row, Table
-from fsh3d_o3d.descriptors import ShapeSignature, SHDOption, aligned_distances, descriptor_distances
-from fsh3d_o3d.errors import GeometryError
+from fsh3d_o3d.descriptors import ShapeSignature, SHDOption, descriptor_distances, signature_distances
 from fsh3d_o3d.files import read_geometry_arrays
 from fsh3d_o3d.index import (
     EXACT_BELOW,
@@ -105,7 +105,7 @@ def _case(bases: list[ShapeSignature], count: int, queries: int) -> Row:
         timing = interleave(
             {
                 "query": lambda: search.nearest(store.latest(), probes[next(turn) % queries], _TOP),
-                "rerank": lambda: aligned_distances(probes[0].coefficients, candidates.stored.coefficients),
+                "rerank": lambda: signature_distances(probes[0].coefficients, candidates.stored.coefficients),
             },
             rounds=21,
             budget=10.0,
@@ -128,7 +128,7 @@ def _bases(most: int) -> list[ShapeSignature]:
     for path in files[:: max(1, len(files) // most)]:
         try:
             found.append(describe(read_geometry_arrays(path), _OPTION))
-        except GeometryError:  # noqa: PERF203 - the samples hold broken files, too
+        except fsh.GeometryError:  # noqa: PERF203 - the samples hold broken files, too
             continue
     return found[:most]
 

@@ -23,7 +23,6 @@ import fsh3d_o3d as fsh
 from benchmarks._cases import fibonacci_case
 from benchmarks._measure import interleave
 from benchmarks._table import Cell, Check, Column, Curve, Plot, Row, Table
-from fsh3d_o3d._validation import Float64Array, FloatArray
 from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 CloudMethod = Literal["least_squares", "resample"]
@@ -189,7 +188,7 @@ def _clouds(cases: tuple[_CloudCase, ...], bandwidth: int) -> Table:
     )
 
 
-def _truth(bandwidth: int, seed: int) -> Float64Array:
+def _truth(bandwidth: int, seed: int) -> NDArray[np.float64]:
     """A random body: mean radius 1, standard deviation 0.1, amplitudes falling as 1/(l + 1)²."""
     degree, _ = fsh.degrees_and_orders(bandwidth)
     coefficients = np.random.default_rng([7, seed]).standard_normal(bandwidth**2) / (degree + 1.0) ** 2
@@ -199,7 +198,9 @@ def _truth(bandwidth: int, seed: int) -> Float64Array:
     return coefficients
 
 
-def _best_guess(truth: Float64Array, case: _CloudCase, probes: fsh.SphericalGrid, hidden: NDArray[np.bool_]) -> float:
+def _best_guess(
+    truth: NDArray[np.float64], case: _CloudCase, probes: fsh.SphericalGrid, hidden: NDArray[np.bool_]
+) -> float:
     """Error in the hole of the best linear estimate, which knows the spectrum and sees no outliers.
 
     The posterior mean of Gaussian coefficients of the variances that ``_truth`` draws from: what a fit may hope for.
@@ -216,7 +217,7 @@ def _best_guess(truth: Float64Array, case: _CloudCase, probes: fsh.SphericalGrid
     return float(np.sqrt(np.square(unseen @ (estimate - truth)).mean()))
 
 
-def _cloud(case: _CloudCase, truth: Float64Array) -> Float64Array:
+def _cloud(case: _CloudCase, truth: NDArray[np.float64]) -> NDArray[np.float64]:
     rng = np.random.default_rng([9, case.points])
     directions = rng.standard_normal((case.points, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -228,19 +229,19 @@ def _cloud(case: _CloudCase, truth: Float64Array) -> Float64Array:
     return np.asarray(directions * radii[:, None], dtype=np.float64)
 
 
-def _encoded(plan: fsh.SphericalHarmonicTransform, mesh: MeshArrays) -> FloatArray:
+def _encoded(plan: fsh.SphericalHarmonicTransform, mesh: MeshArrays) -> NDArray[np.float32] | NDArray[np.float64]:
     from fsh3d_o3d.radial import sample_radial
 
     return plan.forward(sample_radial(mesh, plan.grid.directions, np.zeros(3)).radii)
 
 
-def _fitted(points: Float64Array, bandwidth: int, method: CloudMethod) -> Float64Array:
+def _fitted(points: NDArray[np.float64], bandwidth: int, method: CloudMethod) -> NDArray[np.float64]:
     from fsh3d_o3d.radial import fit_radial_cloud
 
     return fit_radial_cloud(PointArrays(points), bandwidth, np.zeros(3), method=method).coefficients
 
 
-def _median_of_nearest(points: Float64Array, bandwidth: int) -> Float64Array:
+def _median_of_nearest(points: NDArray[np.float64], bandwidth: int) -> NDArray[np.float64]:
     """Median of the 64 nearest directions at each grid point, then the transform."""
     radii = np.linalg.norm(points, axis=1)
     case = fibonacci_case(bandwidth)
@@ -249,7 +250,7 @@ def _median_of_nearest(points: Float64Array, bandwidth: int) -> Float64Array:
     return np.asarray(transform.forward(np.median(radii[nearest], axis=1)), dtype=np.float64)
 
 
-def _plain_least_squares(points: Float64Array, bandwidth: int) -> Float64Array:
+def _plain_least_squares(points: NDArray[np.float64], bandwidth: int) -> NDArray[np.float64]:
     radii = np.linalg.norm(points, axis=1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # holes leave it undetermined, which is what the table shows
@@ -257,7 +258,7 @@ def _plain_least_squares(points: Float64Array, bandwidth: int) -> Float64Array:
     return np.asarray(fit.coefficients, dtype=np.float64)
 
 
-_METHODS: dict[str, Callable[[Float64Array, int], Float64Array]] = {
+_METHODS: dict[str, Callable[[NDArray[np.float64], int], NDArray[np.float64]]] = {
     "median of 64": _median_of_nearest,
     "ours, least_squares": partial(_fitted, method="least_squares"),
     "ours, resample": partial(_fitted, method="resample"),

@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
 
 import fsh3d_o3d as fsh
 from benchmarks._alignment_pairs import KINDS, Pair, asymmetric_shapes, pairs
 from benchmarks._measure import limited
 from benchmarks._table import Cell, Check, Column, Row, Table
-from fsh3d_o3d._open3d import open3d
-from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, area_samples
 
 _VOXEL = 0.02  # of the diagonal; of 0.05, 0.03 and 0.02 the best for RANSAC, 0.01 took seconds a pair
@@ -30,7 +30,7 @@ _LEAST = {"same mesh": 0.99}
 _LEAST_OTHERS = 0.97
 _KEPT = 0.95  # of the shape's area; a copy with less is a part
 
-Method = Callable[[Pair], Float64Array]
+Method = Callable[[Pair], NDArray[np.float64]]
 
 
 def run(*, quick: bool = False) -> Iterator[Table]:
@@ -75,7 +75,7 @@ def run(*, quick: bool = False) -> Iterator[Table]:
     )
 
 
-def _tried(method: Method, cases: list[Pair]) -> tuple[Float64Array, Float64Array]:
+def _tried(method: Method, cases: list[Pair]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Errors in degrees and seconds of processor time, one a pair."""
     angles, seconds = [], []
     with limited(1):
@@ -92,9 +92,9 @@ def _row(
     kind: str,
     name: str,
     cases: list[Pair],
-    angles: Float64Array,
-    seconds: Float64Array,
-    reference: Float64Array,
+    angles: NDArray[np.float64],
+    seconds: NDArray[np.float64],
+    reference: NDArray[np.float64],
     checks: tuple[Check, ...],
 ) -> Row:
     whole = np.array([case.kept >= _KEPT for case in cases])
@@ -112,23 +112,23 @@ def _row(
     return Row(cells, checks)
 
 
-def _success(angles: Float64Array, kind: str) -> float:
+def _success(angles: NDArray[np.float64], kind: str) -> float:
     return float(np.mean(angles <= _WITHIN.get(kind, _WITHIN_OTHERS)))
 
 
-def _angle(linear: Float64Array, rotation: Float64Array) -> float:
+def _angle(linear: NDArray[np.float64], rotation: NDArray[np.float64]) -> float:
     """Degrees between the rotation in a similarity and the true one."""
     turned = linear / np.cbrt(np.linalg.det(linear))
     return float(np.degrees(2 * np.arcsin(min(1.0, np.linalg.norm(turned - rotation) / np.sqrt(8)))))
 
 
-def _ours(pair: Pair, *, polish: bool) -> Float64Array:
+def _ours(pair: Pair, *, polish: bool) -> NDArray[np.float64]:
     option = fsh.SphericalRegistrationOption(polish=polish)
     return fsh.registration_spherical(pair.source, pair.target, option).transformation[:3, :3]
 
 
-def _peer(pair: Pair, *, fast: bool, polish: bool) -> Float64Array:
-    o3d, voxel = open3d(), _VOXEL * pair.source.diagonal
+def _peer(pair: Pair, *, fast: bool, polish: bool) -> NDArray[np.float64]:
+    voxel = _VOXEL * pair.source.diagonal
     methods = o3d.pipelines.registration
     first, second = _described(pair.source, 1.0, voxel), _described(pair.target, pair.scale, voxel)
     clouds, features = zip(first, second, strict=True)
@@ -157,7 +157,6 @@ def _peer(pair: Pair, *, fast: bool, polish: bool) -> Float64Array:
 
 
 def _described(geometry: MeshArrays | PointArrays, scale: float, voxel: float) -> tuple[Any, Any]:
-    o3d = open3d()
     points = area_samples(geometry, _PEER_POINTS)[0] if isinstance(geometry, MeshArrays) else geometry.points
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points / scale)).voxel_down_sample(voxel)
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(2 * voxel, 30))

@@ -15,13 +15,13 @@ from typing import Any
 
 import ducc0
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import fsh3d_o3d as fsh
 from benchmarks._cases import random_coefficients, relative_error
 from benchmarks._measure import interleave, limited
 from benchmarks._table import Cell, Check, Column, Row, Table
-from fsh3d_o3d._validation import Float64Array
 
 _BRUTE = 2400
 _TURN = Rotation.from_euler("ZYZ", [0.7, 1.1, -2.3])
@@ -175,7 +175,7 @@ def _batches(candidates: int, brute: int) -> Table:
     )
 
 
-def super_fibonacci(count: int) -> Float64Array:
+def super_fibonacci(count: int) -> NDArray[np.float64]:
     """Return ``count`` rotations (n, 3, 3) of low discrepancy (Alexa 2022, algorithm 1)."""
     # ψ solves ψ⁴ = ψ + 4.
     phi, psi = np.sqrt(2.0), 1.533751168755204288118041
@@ -186,7 +186,7 @@ def super_fibonacci(count: int) -> Float64Array:
     return np.asarray(Rotation.from_quat(quaternions.T).as_matrix())
 
 
-def _pair(seed: int, noise: float) -> tuple[Float64Array, Float64Array, Float64Array]:
+def _pair(seed: int, noise: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     rng = np.random.default_rng(seed)
     decay = (fsh.degrees_and_orders(16)[0] + 1.0) ** -1.5
     source, other = rng.standard_normal((2, 32, 256)) * decay
@@ -194,20 +194,20 @@ def _pair(seed: int, noise: float) -> tuple[Float64Array, Float64Array, Float64A
     return source, np.asarray(fsh.rotate_coefficients(source, matrix) + noise * other), matrix
 
 
-def _turned(target: Float64Array, rotations: Float64Array) -> Float64Array:
+def _turned(target: NDArray[np.float64], rotations: NDArray[np.float64]) -> NDArray[np.float64]:
     """The target turned back by each rotation, one a row, ready for a product with sources."""
     return np.stack([fsh.rotate_coefficients(target, matrix.T, threads=1).ravel() for matrix in rotations])
 
 
-def _scores(base: Float64Array, sources: Float64Array) -> Float64Array:
+def _scores(base: NDArray[np.float64], sources: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(sources.reshape(len(sources), -1) @ base.T)
 
 
-def _best(base: Float64Array, source: Float64Array) -> int:
+def _best(base: NDArray[np.float64], source: NDArray[np.float64]) -> int:
     return int((base @ source.ravel()).argmax())
 
 
-def _degrees(first: Float64Array, second: Float64Array) -> float:
+def _degrees(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
     return float(np.degrees(2 * np.arcsin(min(1.0, np.linalg.norm(first - second) / np.sqrt(8)))))
 
 

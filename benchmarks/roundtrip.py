@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import fsh3d_o3d as fsh
 from benchmarks._cases import (
@@ -25,7 +26,6 @@ from benchmarks._cases import (
 )
 from benchmarks._measure import interleave, limited
 from benchmarks._table import Cell, Check, Column, Curve, Plot, Row, Table
-from fsh3d_o3d._validation import Float64Array, FloatArray
 
 DENSE_TOLERANCE = 5e-15
 NUFFT_TOLERANCE = 3e-13
@@ -40,7 +40,7 @@ class _Method:
     """For people."""
     points: int
     """Number of samples."""
-    call: Callable[[], FloatArray]
+    call: Callable[[], NDArray[np.float32] | NDArray[np.float64]]
     """Returns the (b²,) coefficients that came back."""
     limit: float | None = None
     """Target of the relative error."""
@@ -96,7 +96,7 @@ def _is_peer(name: str) -> bool:
     return not name.startswith("ours")
 
 
-def _methods(case: FibonacciCase, coefficients: Float64Array, dense: bool, fast: bool) -> list[_Method]:
+def _methods(case: FibonacciCase, coefficients: NDArray[np.float64], dense: bool, fast: bool) -> list[_Method]:
     b, n = case.bandwidth, len(case.grid)
     methods = []
     if dense:
@@ -105,7 +105,7 @@ def _methods(case: FibonacciCase, coefficients: Float64Array, dense: bool, fast:
         methods.append(_Method("ours, nufft", n, _ours(case, case.weights, "nufft", coefficients), NUFFT_TOLERANCE))
     packed = fsh.to_packed(coefficients)
 
-    def ducc0_call() -> FloatArray:
+    def ducc0_call() -> NDArray[np.float32] | NDArray[np.float64]:
         values = ducc0_synthesis(packed, case.locations, b - 1, 1)
         return fsh.from_packed(ducc0_adjoint(values * case.weights, case.locations, b - 1, 1))
 
@@ -124,12 +124,14 @@ def _methods(case: FibonacciCase, coefficients: Float64Array, dense: bool, fast:
     return methods
 
 
-def _ours(case: FibonacciCase, weights: Float64Array, engine: Any, coefficients: Float64Array) -> Callable[[], Any]:
+def _ours(
+    case: FibonacciCase, weights: NDArray[np.float64], engine: Any, coefficients: NDArray[np.float64]
+) -> Callable[[], Any]:
     transform = fsh.SphericalHarmonicTransform(case.bandwidth, case.grid, weights, engine, threads=1)
     return lambda: transform.forward(transform.inverse(coefficients))
 
 
-def _pyshtools(b: int, coefficients: Float64Array) -> Callable[[], FloatArray]:
+def _pyshtools(b: int, coefficients: NDArray[np.float64]) -> Callable[[], NDArray[np.float32] | NDArray[np.float64]]:
     from pyshtools.expand import MakeGridDH, SHExpandDH  # type: ignore[import-untyped]
 
     degree, order = fsh.degrees_and_orders(b)
@@ -140,10 +142,10 @@ def _pyshtools(b: int, coefficients: Float64Array) -> Callable[[], FloatArray]:
     return lambda: SHExpandDH(MakeGridDH(cilm, norm=4, csphase=1), norm=4, csphase=1)[place]
 
 
-def _healpy(side: int, b: int, packed: Any, iterations: int) -> Callable[[], FloatArray]:
+def _healpy(side: int, b: int, packed: Any, iterations: int) -> Callable[[], NDArray[np.float32] | NDArray[np.float64]]:
     import healpy  # type: ignore[import-untyped]
 
-    def call() -> FloatArray:
+    def call() -> NDArray[np.float32] | NDArray[np.float64]:
         values = healpy.alm2map(packed, side, lmax=b - 1, pol=False)
         return fsh.from_packed(healpy.map2alm(values, lmax=b - 1, iter=iterations, pol=False))
 

@@ -19,7 +19,7 @@ import numpy as np
 import open3d as o3d
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d._atomic import atomic_write_bytes
+from fsh3d_o3d.files import atomic_write_bytes
 from fsh3d_o3d.report import alignment_picture, encode_png
 
 SAMPLES = Path(__file__).parents[1] / "samples"

@@ -12,7 +12,7 @@ from fsh3d_o3d.descriptors.shd import (
     descriptor_distances,
     shd_descriptor,
 )
-from fsh3d_o3d.descriptors.signature_distance import aligned_distances, fits_only_mirrored, mixed_distances
+from fsh3d_o3d.descriptors.signature_distance import fits_only_mirrored, mixed_distances, signature_distances
 
 __all__ = [
     "CPSHDDescriptor",
@@ -20,7 +20,7 @@ __all__ = [
     "SHDDescriptor",
     "SHDOption",
     "ShapeSignature",
-    "aligned_distances",
+    "signature_distances",
     "compute_shd_feature",
     "compute_signature",
     "descriptor_distances",

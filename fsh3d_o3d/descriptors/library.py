@@ -20,7 +20,7 @@ from fsh3d_o3d.descriptors.shd import (
     descriptor_distances,
     shd_descriptor,
 )
-from fsh3d_o3d.descriptors.signature_distance import aligned_distances, mixed_distances
+from fsh3d_o3d.descriptors.signature_distance import mixed_distances, signature_distances
 from fsh3d_o3d.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.sphere import driscoll_healy_weights, equiangular_grid
 
@@ -106,7 +106,7 @@ def _aligned(
             chosen = (chosen | wanted[:, index]) & (np.arange(len(columns)) > index)
         chosen = np.flatnonzero(chosen)
         if len(chosen):
-            result[index, chosen], _ = aligned_distances(rows[index], columns[chosen])
+            result[index, chosen], _ = signature_distances(rows[index], columns[chosen])
         if same:
             result[chosen, index] = result[index, chosen]
     return result

@@ -88,7 +88,7 @@ class ShapeSignature:
 
 
 def compute_signature(geometry: Any, option: SHDOption | None = None, *, bandwidth: int = 8) -> ShapeSignature:
-    """Compute a shape's descriptor together with what ``aligned_distances`` needs.
+    """Compute a shape's descriptor together with what ``signature_distances`` needs.
 
     Args:
         geometry: As for ``compute_shd_feature``.

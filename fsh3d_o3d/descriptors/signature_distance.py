@@ -19,7 +19,7 @@ from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, FloatArray
 from fsh3d_o3d.sphere import estimate_rotations, parity, resolve_threads, rotate_each, run_all, single_threaded_blas
 
-__all__ = ["aligned_distances", "fits_only_mirrored", "mixed_distances"]
+__all__ = ["signature_distances", "fits_only_mirrored", "mixed_distances"]
 
 _SHARE = 0.5  # of the aligned distance in the mix; anything from 0.4 to 0.6 does
 # Of what depends on direction in one shape and differs in the other. 22 symmetric shapes and copies of them, turned,
@@ -30,7 +30,7 @@ _HALF = 0.5  # as far when mirrored, at most
 _BLOCK = 64  # candidates a job; fixed, so that results do not depend on the number of threads
 
 
-def aligned_distances(
+def signature_distances(
     query: object, candidates: object, *, threads: int | None = None
 ) -> tuple[Float64Array, Float64Array]:
     """Return the distance of each candidate to the query after alignment, and the rotation that aligns it.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.files.child_process import ChildProcess, end_after, fill_standard_descriptors
 from fsh3d_o3d.files.object_storage import (
     absolute,
@@ -24,6 +25,7 @@ __all__ = [
     "WRITABLE_CLOUD_FORMATS",
     "WRITABLE_MESH_FORMATS",
     "absolute",
+    "atomic_write_bytes",
     "end_after",
     "file_content",
     "fill_standard_descriptors",

@@ -16,7 +16,7 @@ class Hit:
     path: str
     """The file, absolute, as it was when it was indexed."""
     distance: float
-    """How unlike the query it is, in [0, 2]: of the features, and where re-ranked mixed with the aligned distance."""
+    """How unlike the query it is, in [0, 2]: of the features, and where re-ranked mixed with that once aligned."""
     rank: int
     """1 for the most similar."""
     rotation: Float64Array

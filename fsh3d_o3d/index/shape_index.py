@@ -13,13 +13,13 @@ from fsh3d_o3d._printable import printable
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.files import absolute, read_geometry_arrays
 from fsh3d_o3d.geometry import geometry_arrays
-from fsh3d_o3d.index.answer import answer
 from fsh3d_o3d.index.errors import ShapeIndexError
 from fsh3d_o3d.index.export import export_features
 from fsh3d_o3d.index.extraction import DescribeFile, Thumbnailer, describe
 from fsh3d_o3d.index.filling import Filling, IndexUpdate
 from fsh3d_o3d.index.pairs import near_duplicates
 from fsh3d_o3d.index.pruning import prune, remove
+from fsh3d_o3d.index.reranking import reranked_hits
 from fsh3d_o3d.index.results import Hit, IndexedModel, IndexSummary, NearDuplicate
 from fsh3d_o3d.index.roots import real_file, real_files, real_folder
 from fsh3d_o3d.index.rows import Query
@@ -280,7 +280,9 @@ class ShapeIndex:
         else:
             geometry = geometry_arrays(geometry_or_path)[0]
         query = Query.of(describe(geometry, self._option), self._store.basis)
-        return self._store.reading(lambda models: answer(models, self._search, query, self._store.roots, top, rerank))
+        return self._store.reading(
+            lambda models: reranked_hits(models, self._search, query, self._store.roots, top, rerank)
+        )
 
     def near_duplicates(self, limit: float = 0.05) -> tuple[NearDuplicate, ...]:
         """Return the pairs of models whose features are at most ``limit`` apart, closest first.

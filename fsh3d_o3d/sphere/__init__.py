@@ -5,7 +5,7 @@ NumPy, SciPy and ducc0 alone; Open3D is never imported here. ``rotation`` turns 
 
 from __future__ import annotations
 
-from fsh3d_o3d.sphere.analytic_weights import WeightSolution, analytic_weights
+from fsh3d_o3d.sphere.analytic_weights import analytic_weights
 from fsh3d_o3d.sphere.coefficients import (
     degree_energies,
     filter_coefficients,
@@ -51,6 +51,7 @@ from fsh3d_o3d.sphere.rotation import (
 from fsh3d_o3d.sphere.threads import resolve_threads, run_all, single_threaded_blas
 from fsh3d_o3d.sphere.transform import SphericalHarmonicTransform, evaluate, evaluate_gradient
 from fsh3d_o3d.sphere.weight_cache import clear_weight_cache, weight_cache_directory
+from fsh3d_o3d.sphere.weight_solution import WeightSolution
 from fsh3d_o3d.sphere.weights import area_weights, checked_weights, driscoll_healy_weights, equal_weights
 
 __all__ = [

@@ -14,7 +14,6 @@ they miss.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
@@ -28,8 +27,9 @@ from fsh3d_o3d.sphere.grids import SphericalGrid, require_grid
 from fsh3d_o3d.sphere.harmonics import analyse_exactly, spherical_harmonics
 from fsh3d_o3d.sphere.nufft_engine import NufftEngine, analyse_directly
 from fsh3d_o3d.sphere.threads import resolve_threads, single_threaded_blas
+from fsh3d_o3d.sphere.weight_solution import WeightSolution
 
-__all__ = ["WeightSolution", "analytic_weights"]
+__all__ = ["analytic_weights"]
 
 CONDITION_TOLERANCE = 1e-10
 """Residual up to which Eq. (8) counts as met."""
@@ -45,28 +45,6 @@ _HARD_ITERATIONS = 300
 # Root mean square of the weights over their mean: by how much quadrature multiplies white noise in the samples.
 _MAXIMUM_AMPLIFICATION = 2.0
 _LARGEST_DIRECT = 2200  # equations; below, a factorisation beats hundreds of iterations
-
-
-@dataclass(frozen=True, eq=False)
-class WeightSolution:
-    """Quadrature weights and how well they meet Eq. (8)."""
-
-    weights: Float64Array
-    """(n,) read-only; their sum is 4π to ``residual``."""
-    bandwidth: int
-    """b: the conditions are those of degrees below 2b."""
-    residual: float
-    """max |ŝ(l, m) − e₀| over l < 2b, ŝ = A w / √4π normalised as in Eq. (8): ŝ(0, 0) = 1, all others 0."""
-    iterations: int
-    """Conjugate-gradient steps; 0 where a factorisation solved the system."""
-    minimum: float
-    """Smallest weight."""
-    maximum: float
-    """Largest weight."""
-    negative: int
-    """Number of negative weights."""
-    converged: bool
-    """Whether Eq. (8) holds: ``residual`` <= 1e-10."""
 
 
 def analytic_weights(

@@ -15,7 +15,7 @@ import logging
 import threading
 from collections import OrderedDict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,9 +23,7 @@ from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d._cache_folder import cache_folder
 from fsh3d_o3d._npz import read_npz
 from fsh3d_o3d.sphere.grids import SphericalGrid
-
-if TYPE_CHECKING:
-    from fsh3d_o3d.sphere.analytic_weights import WeightSolution
+from fsh3d_o3d.sphere.weight_solution import WeightSolution
 
 __all__ = ["clear_weight_cache", "weight_cache_directory"]
 
@@ -102,8 +100,6 @@ def keep(key: str, solution: WeightSolution) -> None:
 
 
 def _read(path: Path, n: int) -> WeightSolution | None:
-    from fsh3d_o3d.sphere.analytic_weights import WeightSolution
-
     try:
         file = read_npz(path, n * np.dtype(np.float64).itemsize + _ABOUT_BYTES)
         weights, about = file["weights"], json.loads(str(file["about"]))

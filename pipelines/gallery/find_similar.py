@@ -17,9 +17,8 @@ from pathlib import Path
 import numpy as np
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.descriptors import SHDDescriptor
-from fsh3d_o3d.files import read_geometry_arrays
+from fsh3d_o3d.files import atomic_write_bytes, read_geometry_arrays
 from fsh3d_o3d.report import encode_png, render_thumbnail, side_by_side
 
 SAMPLES = Path(__file__).parents[2] / "samples"

@@ -19,7 +19,7 @@ import open3d as o3d
 from scipy.spatial import cKDTree
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d._atomic import atomic_write_bytes
+from fsh3d_o3d.files import atomic_write_bytes
 from fsh3d_o3d.report import encode_png, error_colors, render_thumbnail, side_by_side
 
 SAMPLES = Path(__file__).parents[2] / "samples"

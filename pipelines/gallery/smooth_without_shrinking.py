@@ -18,7 +18,7 @@ import numpy as np
 import open3d as o3d
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d._atomic import atomic_write_bytes
+from fsh3d_o3d.files import atomic_write_bytes
 from fsh3d_o3d.report import encode_png, render_thumbnail, side_by_side
 
 SAMPLES = Path(__file__).parents[2] / "samples"

@@ -14,7 +14,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
-from fsh3d_o3d._atomic import atomic_write_bytes
+from fsh3d_o3d.files import atomic_write_bytes
 
 mpl.use("Agg")  # files only; before pyplot
 

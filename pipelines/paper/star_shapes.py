@@ -34,7 +34,6 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files import read_geometry_arrays
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, area_samples, enclosed_volume, sphere_mesh, weld
 from fsh3d_o3d.radial import sample_radial, star_center
@@ -144,7 +143,7 @@ def subject(path: Path, points: int, *, clouds: bool) -> Subject | None:
         mesh = weld(mesh)
         center = star_center(mesh).center
         seen = sample_radial(mesh, fsh.fibonacci_grid(4096).directions, center, behaviour="outermost", fillable=1)
-    except (GeometryError, OSError) as error:
+    except (fsh.GeometryError, OSError) as error:
         print(f"{path.name}: {error}")
         return None
     return None if max(seen.multiple, seen.missed) > 0.02 else Subject(mesh, center, points, clouds=clouds)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from fsh3d_o3d.descriptors.library import SHDDescriptor
 from fsh3d_o3d.descriptors.shd import SHDOption, compute_signature, shd_descriptor
-from fsh3d_o3d.descriptors.signature_distance import aligned_distances, fits_only_mirrored, mixed_distances
+from fsh3d_o3d.descriptors.signature_distance import fits_only_mirrored, mixed_distances, signature_distances
 from fsh3d_o3d.geometry.arrays import MeshArrays
 from fsh3d_o3d.sphere.harmonics import degrees_and_orders
 from fsh3d_o3d.sphere.rotation.rotation import rotate_coefficients
@@ -31,7 +31,7 @@ def turned(mesh, rotation, scale=1.0):
 def test_rotated_copies_are_at_zero_and_their_rotations_are_found():
     (shape,) = functions(1)
     copies = np.stack([rotate_coefficients(shape, rotation) for rotation in ROTATIONS])
-    distances, rotations = aligned_distances(shape, copies)
+    distances, rotations = signature_distances(shape, copies)
     # A root of coefficients magnifies what three Newton steps leave of the angle.
     assert distances.max() < 1e-3
     np.testing.assert_allclose(rotations @ ROTATIONS, np.broadcast_to(np.eye(3), (5, 3, 3)), atol=1e-4)
@@ -39,7 +39,7 @@ def test_rotated_copies_are_at_zero_and_their_rotations_are_found():
 
 def test_distances_are_symmetric_and_bounded():
     shapes = functions(12, seed=1)
-    table = np.stack([aligned_distances(shape, shapes)[0] for shape in shapes])
+    table = np.stack([signature_distances(shape, shapes)[0] for shape in shapes])
     np.testing.assert_allclose(table, table.T, atol=1e-9)  # both sides climb to the same maximum
     assert np.diag(table).max() < 1e-6
     assert (table + 3 * np.eye(12) > 0.1).all()
@@ -48,7 +48,7 @@ def test_distances_are_symmetric_and_bounded():
 
 def test_threads_give_the_same_bytes():
     shapes = functions(150, seed=2)
-    one, two = (aligned_distances(shapes[0], shapes, threads=threads) for threads in (1, 2))
+    one, two = (signature_distances(shapes[0], shapes, threads=threads) for threads in (1, 2))
     assert one[0].tobytes() == two[0].tobytes()
     assert one[1].tobytes() == two[1].tobytes()
 
@@ -56,7 +56,7 @@ def test_threads_give_the_same_bytes():
 def test_zero_coefficients_are_far_from_everything_else():
     shapes = functions(3)
     shapes[1] = 0
-    distances, rotations = aligned_distances(shapes[0], shapes)
+    distances, rotations = signature_distances(shapes[0], shapes)
     assert distances[1] == pytest.approx(2)
     assert np.isfinite(rotations).all()
 
@@ -72,7 +72,7 @@ def test_zero_coefficients_are_far_from_everything_else():
 )
 def test_wrong_shapes_are_refused(query, candidates, message):
     with pytest.raises(ValueError, match=message):
-        aligned_distances(query, candidates)
+        signature_distances(query, candidates)
 
 
 def test_signature_holds_the_feature_and_a_frame_that_follows_the_shape():

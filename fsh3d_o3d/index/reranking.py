@@ -1,4 +1,7 @@
-"""What a query of an index returns, all of it read from one version (private)."""
+"""Hits of a query: its nearest candidates, aligned with it and ranked anew by how far they then are from it.
+
+All of it is read from one version of the index.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fsh3d_o3d._validation import IntArray
-from fsh3d_o3d.descriptors import aligned_distances, mixed_distances
+from fsh3d_o3d.descriptors import mixed_distances, signature_distances
 from fsh3d_o3d.index.errors import ShapeIndexError
 from fsh3d_o3d.index.extraction import similarity
 from fsh3d_o3d.index.results import Hit
@@ -20,14 +23,14 @@ from fsh3d_o3d.index.version import TableVersion
 _COLUMNS = ["path", "vertices", "triangles", "watertight", "thumbnail"]
 
 
-def answer(
+def reranked_hits(
     models: TableVersion, search: IndexSearch, query: Query, roots: Callable[[], LibraryRoots], top: int, rerank: int
 ) -> tuple[Hit, ...]:
     """Return the ``top`` models most like a query, of ``rerank`` aligned ones; ``roots`` tells where libraries are."""
     candidates = search.nearest(models, query, max(top, rerank) if rerank else top)
     if len(candidates.rows) == 0:
         return ()
-    aligned, rotations = aligned_distances(query.coefficients, candidates.stored.coefficients)
+    aligned, rotations = signature_distances(query.coefficients, candidates.stored.coefficients)
     distances = mixed_distances(candidates.distances, aligned) if rerank else candidates.distances
     order = np.argsort(distances, kind="stable")[:top]
     table = _rows(models, candidates, order)
@@ -62,7 +65,5 @@ def _rows(models: TableVersion, candidates: Candidates, order: IntArray) -> dict
     # A row's checksum ties its numbers to its path: both are of the row that was ranked.
     if rows["signature"].to_pylist() != [numbers.tobytes() for numbers in candidates.stored.numbers[order]]:
         raise ShapeIndexError(f"{models.path}: the index is damaged: rows are not where they should be")
-    columns: dict[str, list[Any]] = rows.select(
-        ["path", "vertices", "triangles", "watertight", "thumbnail"]
-    ).to_pydict()
+    columns: dict[str, list[Any]] = rows.select(_COLUMNS).to_pydict()
     return columns
