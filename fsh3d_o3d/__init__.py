@@ -24,7 +24,7 @@ from fsh3d_o3d.geometry import SurfaceError, surface_error, vertex_distances
 from fsh3d_o3d.index import Hit, ShapeIndex, ShapeIndexError
 from fsh3d_o3d.jobs import clear_descriptor_cache
 from fsh3d_o3d.registration import SphericalRegistrationOption, SphericalRegistrationResult, registration_spherical
-from fsh3d_o3d.shapes import ConformalShape, RadialShape, ShellShape, ShellVolume, canonical_rotation, load_shape
+from fsh3d_o3d.shapes import ConformalShape, RadialShape, Shape, ShellShape, ShellVolume, canonical_rotation, load_shape
 from fsh3d_o3d.sphere import (
     CanonicalPose,
     LeastSquaresFit,
@@ -125,6 +125,7 @@ __all__ = [
     # shapes
     "ConformalShape",
     "RadialShape",
+    "Shape",
     "ShellShape",
     "ShellVolume",
     "canonical_rotation",

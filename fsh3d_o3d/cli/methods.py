@@ -12,10 +12,8 @@ from fsh3d_o3d.cli.console import point_or_name, say
 from fsh3d_o3d.closing import prepare_closed
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, repair_mesh
 from fsh3d_o3d.radial import Behaviour
-from fsh3d_o3d.shapes import ConformalShape, RadialShape, ShellShape
+from fsh3d_o3d.shapes import ConformalShape, RadialShape, Shape, ShellShape
 from fsh3d_o3d.sphere_map import ConformalMapOption, conformal_map
-
-Shape = RadialShape | ShellShape | ConformalShape
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import numpy as np
 
 from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.cli.console import Progress, add_output_options, print_json, say
-from fsh3d_o3d.cli.methods import Encoded, Shape, add_method_options, checked_bandwidth, encoded, repaired
+from fsh3d_o3d.cli.methods import Encoded, add_method_options, checked_bandwidth, encoded, repaired
 from fsh3d_o3d.cli.targets import checked_targets, level_path
 from fsh3d_o3d.files import WRITABLE_MESH_FORMATS, read_geometry_arrays, write_geometry
 from fsh3d_o3d.geometry import (
@@ -23,7 +23,7 @@ from fsh3d_o3d.geometry import (
     surface_error,
     vertex_distances,
 )
-from fsh3d_o3d.shapes import ConformalShape
+from fsh3d_o3d.shapes import ConformalShape, Shape
 from fsh3d_o3d.sphere import degree_energies, heat_filter
 
 
@@ -40,7 +40,10 @@ def add_parser(commands: Any) -> None:
     add_method_options(parser)
     parser.add_argument("--smooth", type=float, metavar="T", help="smooth with the heat kernel exp(-T l(l+1))")
     parser.add_argument(
-        "--resolution", type=int, metavar="N", help="radial, conformal: about how many vertices; shells: cells a side"
+        "--resolution",
+        type=int,
+        metavar="N",
+        help="radial, conformal: about how many vertices; shells: points a side of the grid",
     )
     parser.add_argument("--save", metavar="FILE.npz", help="also write the coefficients")
     parser.add_argument("--picture", metavar="FILE.png", help="also write a picture: original, reconstruction, error")

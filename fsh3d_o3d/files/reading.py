@@ -19,7 +19,7 @@ from fsh3d_o3d.files.formats import ReadFile
 from fsh3d_o3d.files.object_storage import absolute
 from fsh3d_o3d.files.parsing import PARSERS, parser_for, read_file
 from fsh3d_o3d.files.reader_process import ReaderProcess
-from fsh3d_o3d.geometry import GeometryKind, MeshArrays, PointArrays, open3d_mesh, open3d_point_cloud
+from fsh3d_o3d.geometry import GEOMETRY_KINDS, GeometryKind, MeshArrays, PointArrays, open3d_mesh, open3d_point_cloud
 
 READABLE_FORMATS: tuple[str, ...] = tuple(PARSERS)
 """Extensions that are read."""
@@ -82,13 +82,13 @@ def read_geometry_file(
     return _reader.read(name, timeout=timeout, memory_limit=memory_limit)
 
 
-def read_geometry(path: str | os.PathLike[str], *, tensor: bool = False, isolated: bool = True) -> Any:
-    """Read a file as an Open3D ``TriangleMesh`` or ``PointCloud``, legacy or ``tensor``.
+def read_geometry(path: str | os.PathLike[str], *, kind: GeometryKind = "legacy", isolated: bool = True) -> Any:
+    """Read a file as an Open3D ``TriangleMesh`` or ``PointCloud``, legacy or tensor as ``kind`` says.
 
     See ``read_geometry_arrays`` for formats and errors.
     """
+    check.choice(kind, "kind", GEOMETRY_KINDS)
     geometry = read_geometry_arrays(path, isolated=isolated)
-    kind: GeometryKind = "tensor" if tensor else "legacy"
     if isinstance(geometry, MeshArrays):
         return open3d_mesh(geometry, kind)
     return open3d_point_cloud(geometry, kind)

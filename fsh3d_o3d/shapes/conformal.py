@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -13,7 +12,6 @@ import numpy as np
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, FloatArray
-from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.geometry import (
     GEOMETRY_KINDS,
     GeometryKind,
@@ -27,16 +25,16 @@ from fsh3d_o3d.geometry import (
 )
 from fsh3d_o3d.shapes import attributes as _attributes
 from fsh3d_o3d.shapes import decoding as _decoding
-from fsh3d_o3d.shapes import storage
 from fsh3d_o3d.shapes.attributes import COLORS
 from fsh3d_o3d.shapes.decoding import Triangulation
 from fsh3d_o3d.shapes.map_sampling import checked_size, transform_map
-from fsh3d_o3d.sphere import SphericalGrid, degree_energies, filter_coefficients, grid_from_directions, truncate
+from fsh3d_o3d.shapes.shape import HarmonicShape, feature_of
+from fsh3d_o3d.sphere import SphericalGrid, degree_energies, filter_coefficients, grid_from_directions
 from fsh3d_o3d.sphere_map import ConformalMapOption, SphericalMap, conformal_map
 
 
 @dataclass(frozen=True, eq=False)
-class ConformalShape:
+class ConformalShape(HarmonicShape):
     """A closed surface of genus 0 as its position x(ω) = Σ c_lm Y_lm(ω) over a map onto the sphere, star-shaped or not.
 
     The paper's second parameterisation, after Agus et al., WISH, 2020; here over the map of ``conformal_map``.
@@ -131,11 +129,6 @@ class ConformalShape:
         return cls(*transform_map(surface, values, b, size, threads), kind)
 
     @property
-    def bandwidth(self) -> int:
-        """b: degrees 0 … b − 1."""
-        return int(np.sqrt(self.coefficients.shape[1]) + 0.5)
-
-    @property
     def center(self) -> Float64Array:
         """(3,) mean position over the sphere of the map: what the coefficients of degree 0 say."""
         return _decoding.mean_position(self.coefficients)
@@ -145,9 +138,9 @@ class ConformalShape:
         """The enclosed volume, exact for the band-limited surface; parts turned inside out count as negative."""
         return _decoding.volume_side(self.coefficients) ** 3
 
-    def evaluate(self, directions: object) -> Float64Array:
+    def evaluate(self, directions: object, *, threads: int | None = None) -> Float64Array:
         """Return positions (m, 3) at unit vectors (m, 3) on the sphere of the map, in the units of the input."""
-        return _decoding.values_at(self.coefficients, directions)
+        return _decoding.values_at(self.coefficients, directions, threads)
 
     def attribute(self, name: str, directions: object) -> Float64Array:
         """Return an attribute at unit vectors (m, 3): (m,) or (m, k) as it was given. Colours are clipped to [0, 1].
@@ -162,7 +155,7 @@ class ConformalShape:
         return np.clip(values, 0, 1) if name == COLORS else values
 
     def mesh_arrays(
-        self, resolution: int | None = None, triangulation: Triangulation = "icosphere"
+        self, resolution: int | None = None, *, triangulation: Triangulation = "icosphere"
     ) -> tuple[MeshArrays, Float64Array]:
         """Return the surface as arrays: a closed mesh of genus 0, and its vertex normals (v, 3).
 
@@ -229,13 +222,7 @@ class ConformalShape:
         """
         energies = np.hypot.reduce(degree_energies(self.coefficients), axis=0)
         energies[0] = 0
-        feature = open3d().pipelines.registration.Feature()
-        feature.data = energies[:, None]
-        return feature
-
-    def truncated(self, bandwidth: int) -> ConformalShape:
-        """Return the shape of the degrees below ``bandwidth``: a coarser level of detail."""
-        return self._changed(lambda coefficients: truncate(coefficients, bandwidth))
+        return feature_of(energies[:, None])
 
     def filtered(self, gain_per_degree: object, *, keep_volume: bool = True) -> ConformalShape:
         """Return the shape with each degree multiplied by a gain, (b,) or a function of degree (``heat_filter``).
@@ -262,33 +249,9 @@ class ConformalShape:
         turned[:, 0] = self.coefficients[:, 0]
         return replace(self, coefficients=turned)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the shape to an ``.npz`` of plain arrays; ``load_shape`` reads it back, equal to the last bit.
-
-        Raises:
-            ValueError: The name does not end in ``.npz``.
-            OSError: The file cannot be written; what was there stays.
-        """
-        arrays = {"coefficients": self.coefficients, "geometry": np.array(self.kind)}
-        storage.write_arrays(path, type(self).__name__, {**arrays, **_attributes.attributes_as_arrays(self.attributes)})
-
-    @classmethod
-    def _from_arrays(cls, path: str | os.PathLike[str], arrays: dict[str, Any]) -> ConformalShape:
-        coefficients = storage.field(path, arrays, "coefficients", 2)
-        try:
-            kind = str(arrays.get("geometry", "legacy"))
-            return cls(coefficients, _attributes.attributes_from_arrays(path, arrays), kind)  # type: ignore[arg-type]
-        except (ValueError, TypeError) as error:
-            if isinstance(error, GeometryReadError):
-                raise
-            raise GeometryReadError(f"{os.fspath(path)}: {error}") from None
-
-    def _changed(self, change: Callable[[Float64Array], FloatArray]) -> ConformalShape:
-        def changed(coefficients: Float64Array) -> Float64Array:
-            return np.asarray(change(coefficients), dtype=np.float64)
-
-        carried = {name: changed(coefficients) for name, coefficients in self.attributes.items()}
-        return replace(self, coefficients=changed(self.coefficients), attributes=carried)
+    def _changed(self, change: Callable[[Float64Array], FloatArray], **others: Any) -> ConformalShape:
+        carried = {name: np.asarray(change(coefficients), np.float64) for name, coefficients in self.attributes.items()}
+        return super()._changed(change, attributes=carried, **others)
 
     def _decoded(self, resolution: int | None, triangulation: Triangulation) -> tuple[SphericalGrid, MeshArrays]:
         points = _decoding.usual_resolution(self.bandwidth) if resolution is None else resolution

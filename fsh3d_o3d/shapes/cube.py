@@ -28,7 +28,7 @@ class ShellVolume:
             array.setflags(write=False)
 
 
-def cube_resolution(resolution: object | None, bandwidth: int, shells: int) -> int:
+def cube_resolution(points_per_side: object | None, bandwidth: int, shells: int) -> int:
     """Points along an edge, if not given enough for the bandwidth and the shells.
 
     Raises:
@@ -36,7 +36,7 @@ def cube_resolution(resolution: object | None, bandwidth: int, shells: int) -> i
     """
     low, high = _USUAL
     usual = max(low, min(high, max(2 * shells, 4 * bandwidth)))
-    n = usual if resolution is None else check.integer(resolution, "resolution", minimum=8, maximum=4096)
+    n = usual if points_per_side is None else check.integer(points_per_side, "points_per_side", minimum=8, maximum=4096)
     check.memory(250.0 * n**3, f"a grid of {n}³ points")
     return n
 

@@ -60,13 +60,13 @@ def scaled(coefficients: Float64Array, factor: float) -> Float64Array:
     return result
 
 
-def values_at(coefficients: Float64Array, directions: object) -> Float64Array:
+def values_at(coefficients: Float64Array, directions: object, threads: int | None = None) -> Float64Array:
     """Return functions (b²,) or (k, b²) at directions (m, 3): (m,) or (m, k).
 
     The mean is added last, so that a surface far from the origin keeps its digits.
     """
     mean = mean_position(coefficients)
-    return np.asarray(evaluate(moved(coefficients, -mean), directions).T + mean, dtype=np.float64)
+    return np.asarray(evaluate(moved(coefficients, -mean), directions, threads=threads).T + mean, dtype=np.float64)
 
 
 def area_normals(coefficients: Float64Array, grid: SphericalGrid) -> Float64Array:

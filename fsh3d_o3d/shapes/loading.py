@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+from dataclasses import Field, fields
+from typing import Any
 
 from fsh3d_o3d.errors import GeometryReadError
+from fsh3d_o3d.shapes.attributes import attributes_from_arrays
 from fsh3d_o3d.shapes.conformal import ConformalShape
 from fsh3d_o3d.shapes.radial import RadialShape
 from fsh3d_o3d.shapes.shell import ShellShape
-from fsh3d_o3d.shapes.storage import read_arrays
+from fsh3d_o3d.shapes.storage import STORED_NAMES, read_arrays
 
 __all__ = ["load_shape"]
 
@@ -20,11 +23,29 @@ def load_shape(path: str | os.PathLike[str]) -> RadialShape | ShellShape | Confo
         FileNotFoundError: There is no such file.
         GeometryReadError: Not a shape file, damaged, or of a newer format version.
     """
-    kind, arrays = read_arrays(path)
-    if kind == RadialShape.__name__:
-        return RadialShape._from_arrays(path, arrays)
-    if kind == ShellShape.__name__:
-        return ShellShape._from_arrays(path, arrays)
-    if kind == ConformalShape.__name__:
-        return ConformalShape._from_arrays(path, arrays)
-    raise GeometryReadError(f"{os.fspath(path)}: a shape of kind {kind!r}, which this version does not know")
+    name, arrays = read_arrays(path)
+    for shape in (RadialShape, ShellShape, ConformalShape):
+        if shape.__name__ == name:
+            try:
+                return shape(**{field.name: _value(path, arrays, field) for field in fields(shape)})
+            except GeometryReadError:
+                raise
+            except (ValueError, TypeError) as error:
+                raise GeometryReadError(f"{os.fspath(path)}: {error}") from None
+    raise GeometryReadError(f"{os.fspath(path)}: a shape of kind {name!r}, which this version does not know")
+
+
+def _value(path: str | os.PathLike[str], arrays: dict[str, Any], field: Field[Any]) -> Any:
+    """What a file holds for a field; the shape itself checks shapes and numbers."""
+    if field.name == "attributes":
+        return attributes_from_arrays(path, arrays)
+    name = STORED_NAMES.get(field.name, field.name)
+    if name not in arrays:
+        if name == "geometry":
+            return field.default
+        raise ValueError(f"{name} is missing")
+    array = arrays[name]
+    expected = "fiu" if field.type in ("float", "Float64Array") else "U"
+    if array.dtype.kind not in expected or (array.ndim > 0) != (field.type == "Float64Array"):
+        raise ValueError(f"{name} is malformed ({array.dtype}, shape {array.shape})")
+    return array if array.ndim else array.item()

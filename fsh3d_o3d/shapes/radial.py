@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from fsh3d_o3d import _validation as check
-from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.errors import GeometryError, GeometryReadError
+from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry import (
     GEOMETRY_KINDS,
     GeometryKind,
     MeshArrays,
     PointArrays,
     chosen_kind,
-    fibonacci_triangulation,
     geometry_arrays,
     open3d_mesh,
     open3d_point_cloud,
-    sphere_mesh,
 )
 from fsh3d_o3d.radial import Behaviour, cloud_center, fit_radial_cloud, sample_radial, star_center
-from fsh3d_o3d.shapes import storage
+from fsh3d_o3d.shapes.decoding import Triangulation, decoding_sphere, usual_resolution
+from fsh3d_o3d.shapes.shape import HarmonicShape, feature_of
 from fsh3d_o3d.sphere import (
     SphericalGrid,
     SphericalHarmonicTransform,
@@ -33,22 +30,15 @@ from fsh3d_o3d.sphere import (
     evaluate,
     evaluate_gradient,
     fibonacci_grid,
-    filter_coefficients,
     grid_from_directions,
     grid_size,
-    rotate_coefficients,
-    truncate,
 )
 
 CenterName = Literal["auto", "best", "centroid"]
-Triangulation = Literal["icosphere", "fibonacci"]
-
-_FEWEST_POINTS = 10_242
-_USUAL_POINTS = 400_000
 
 
 @dataclass(frozen=True, eq=False)
-class RadialShape:
+class RadialShape(HarmonicShape):
     """A closed surface r(ω) = Σ c_lm Y_lm(ω) about a centre, as b² coefficients in the units of the input."""
 
     coefficients: Float64Array
@@ -128,11 +118,6 @@ class RadialShape:
         return cls(np.asarray(transform.forward(radii), dtype=np.float64), middle, kind)
 
     @property
-    def bandwidth(self) -> int:
-        """b: degrees 0 … b − 1."""
-        return int(np.sqrt(len(self.coefficients)) + 0.5)
-
-    @property
     def volume(self) -> float:
         """The enclosed volume, ∫ r³/3 dω, exact for the band-limited function."""
         # r³ has degree 3(b − 1); a grid of bandwidth 1.5 b integrates it.
@@ -143,26 +128,19 @@ class RadialShape:
         radii = evaluate(self.coefficients / scale, transform.grid)
         return float(transform.weights @ radii**3 / 3 * scale**3)
 
-    def radius(self, directions: object) -> Float64Array:
+    def evaluate(self, directions: object, *, threads: int | None = None) -> Float64Array:
         """Return r at unit vectors (m, 3), in the units of the input, (m,)."""
-        return np.asarray(evaluate(self.coefficients, directions), dtype=np.float64)
+        return np.asarray(evaluate(self.coefficients, directions, threads=threads), dtype=np.float64)
 
     def mesh_arrays(
-        self, resolution: int | None = None, triangulation: Triangulation = "icosphere"
+        self, resolution: int | None = None, *, triangulation: Triangulation = "icosphere"
     ) -> tuple[MeshArrays, Float64Array]:
         """Return the surface as arrays: a closed, outward-oriented mesh of genus 0, and its vertex normals (v, 3).
 
         See ``to_triangle_mesh``.
         """
-        check.choice(triangulation, "triangulation", ("icosphere", "fibonacci"))
-        b = self.bandwidth
-        usual = max(6 * b * b, min(24 * b * b, _USUAL_POINTS), _FEWEST_POINTS)
-        points = usual if resolution is None else check.integer(resolution, "resolution", minimum=12, maximum=10**8)
-        check.memory(600.0 * points, f"a mesh of {points} vertices")
-        if triangulation == "fibonacci":
-            directions, triangles = fibonacci_triangulation(fibonacci_grid(points).directions)
-        else:
-            directions, triangles = sphere_mesh(points)
+        points = usual_resolution(self.bandwidth) if resolution is None else resolution
+        directions, triangles = decoding_sphere(points, triangulation)
         vertices, normals = self._surface(grid_from_directions(directions))
         return MeshArrays(vertices, triangles), normals
 
@@ -186,16 +164,16 @@ class RadialShape:
         Raises:
             GeometryError: The radial function is not positive everywhere, as truncation of a spiky shape can make it.
         """
-        mesh, normals = self.mesh_arrays(resolution, triangulation)
+        mesh, normals = self.mesh_arrays(resolution, triangulation=triangulation)
         return open3d_mesh(mesh, chosen_kind(kind, self.kind), normals=normals)
 
-    def to_point_cloud(self, n: int | None = None, *, kind: GeometryKind | None = None) -> Any:
-        """Decode to an Open3D ``PointCloud`` of n points (6b² if not given) in Fibonacci directions, with normals.
+    def to_point_cloud(self, n: int = 10_000, *, kind: GeometryKind | None = None) -> Any:
+        """Decode to an Open3D ``PointCloud`` of n points in Fibonacci directions, with normals.
 
         Raises:
             GeometryError: The radial function is not positive everywhere.
         """
-        points, normals = self._surface(fibonacci_grid(6 * self.bandwidth**2 if n is None else n))
+        points, normals = self._surface(fibonacci_grid(n))
         return open3d_point_cloud(PointArrays(points, normals), chosen_kind(kind, self.kind))
 
     def compute_feature(self) -> Any:
@@ -203,59 +181,11 @@ class RadialShape:
 
         They do not change when the input is rotated about the centre or moved, and scale with it.
         """
-        feature = open3d().pipelines.registration.Feature()
-        feature.data = degree_energies(self.coefficients)[:, None]
-        return feature
-
-    def truncated(self, bandwidth: int) -> RadialShape:
-        """Return the shape of the degrees below ``bandwidth``: a coarser level of detail."""
-        return replace(self, coefficients=np.asarray(truncate(self.coefficients, bandwidth), dtype=np.float64))
-
-    def filtered(self, gain_per_degree: object) -> RadialShape:
-        """Return the shape with each degree multiplied by a gain, (b,) or a function of the degrees.
-
-        See ``heat_filter``, ``lanczos_filter``, ``ideal_filter``.
-        """
-        filtered = filter_coefficients(self.coefficients, gain_per_degree)
-        return replace(self, coefficients=np.asarray(filtered, dtype=np.float64))
-
-    def rotated(self, rotation: object) -> RadialShape:
-        """Return the shape rotated about its centre by R (3, 3), exactly; see ``rotate_coefficients``.
-
-        It decodes to what this one does with every point p at center + R (p − center).
-
-        Raises:
-            ValueError: R is not a rotation.
-        """
-        turned = rotate_coefficients(self.coefficients, rotation)
-        return replace(self, coefficients=np.asarray(turned, dtype=np.float64))
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the shape to an ``.npz`` of plain arrays; ``load_shape`` reads it back, equal to the last bit.
-
-        Raises:
-            ValueError: The name does not end in ``.npz``.
-            OSError: The file cannot be written; what was there stays.
-        """
-        storage.write_arrays(
-            path,
-            type(self).__name__,
-            {"coefficients": self.coefficients, "center": self.center, "geometry": np.array(self.kind)},
-        )
-
-    @classmethod
-    def _from_arrays(cls, path: str | os.PathLike[str], arrays: dict[str, Any]) -> RadialShape:
-        coefficients = storage.field(path, arrays, "coefficients", 1)
-        storage.square_root(path, len(coefficients))
-        center = storage.field(path, arrays, "center", 1)
-        kind = str(arrays.get("geometry", "legacy"))
-        if center.shape != (3,) or kind not in GEOMETRY_KINDS:
-            raise GeometryReadError(f"{os.fspath(path)}: center or geometry is malformed")
-        return cls(coefficients, center, "tensor" if kind == "tensor" else "legacy")
+        return feature_of(degree_energies(self.coefficients)[:, None])
 
     def _surface(self, grid: SphericalGrid) -> tuple[Float64Array, Float64Array]:
         """Positions and outward unit normals in the directions of a grid."""
-        radii = self.radius(grid)
+        radii = self.evaluate(grid)
         if radii.min() <= 0:
             raise GeometryError(
                 f"the radial function is not positive in {100 * np.mean(radii <= 0):.2g} % of directions (smallest "

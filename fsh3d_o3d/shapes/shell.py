@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from fsh3d_o3d import _validation as check
-from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, FloatArray
-from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.geometry import (
     GEOMETRY_KINDS,
     GeometryKind,
@@ -23,18 +20,15 @@ from fsh3d_o3d.geometry import (
     open3d_mesh,
     open3d_point_cloud,
 )
-from fsh3d_o3d.shapes import storage
 from fsh3d_o3d.shapes.ball import BallFunction
 from fsh3d_o3d.shapes.cube import ShellVolume, cube_points, cube_resolution
+from fsh3d_o3d.shapes.shape import HarmonicShape, feature_of
 from fsh3d_o3d.shells import FIELDS, FieldName, volume_field, without_specks, zero_surface
 from fsh3d_o3d.sphere import (
     SphericalHarmonicTransform,
     degree_energies,
     fibonacci_grid,
-    filter_coefficients,
     grid_size,
-    rotate_coefficients,
-    truncate,
 )
 
 _FEWEST_SHELLS, _MOST_SHELLS = 4, 4096
@@ -42,7 +36,7 @@ _MARGIN = 0.05  # of empty space beyond the surface, in units of the frame
 
 
 @dataclass(frozen=True, eq=False)
-class ShellShape:
+class ShellShape(HarmonicShape):
     """A field f(r, ω) = Σ f_lm(r) Y_lm(ω) in a ball, as b² coefficients on each of S concentric spheres."""
 
     coefficients: Float64Array
@@ -139,16 +133,11 @@ class ShellShape:
         return cls(coefficients, radii, field, source.center, source.scale, source.width, geometry_arrays(geometry)[1])
 
     @property
-    def bandwidth(self) -> int:
-        """b: degrees 0 … b − 1."""
-        return int(np.sqrt(self.coefficients.shape[1]) + 0.5)
-
-    @property
     def level(self) -> float:
         """The field's value on the surface: 0 for distances, ½ for occupancy, exp(−½) (w away) for the Gaussian."""
         return {"signed_distance": 0.0, "occupancy": 0.5, "gaussian_distance": float(np.exp(-0.5))}[self.field]
 
-    def values(self, points: object, *, threads: int | None = None) -> Float64Array:
+    def evaluate(self, points: object, *, threads: int | None = None) -> Float64Array:
         """Return the field at points (n, 3) in the coordinates of the input, (n,).
 
         Signed distances are in units of ``scale``. Beyond the last shell the field is constant along each ray.
@@ -156,18 +145,18 @@ class ShellShape:
         positions = check.vectors(points, "points")
         return self._ball()(positions / self.scale - self.center / self.scale, threads=threads)
 
-    def to_volume(self, resolution: int | None = None, *, threads: int | None = None) -> ShellVolume:
-        """Return the field on the cubic grid of ``resolution``³ points around the outermost shell.
+    def to_volume(self, points_per_side: int | None = None, *, threads: int | None = None) -> ShellVolume:
+        """Return the field on the cubic grid of ``points_per_side``³ points around the outermost shell.
 
         Args:
-            resolution: Points along an edge, at least 8; twice the shells or four times the bandwidth, whichever is
+            points_per_side: Along each edge, at least 8; twice the shells or four times the bandwidth, whichever is
                 more, between 64 and 256, if not given.
             threads: Number of threads, or None for all that the process may use. Does not change the result.
 
         Raises:
             MemoryEstimateError: The grid would not fit in memory.
         """
-        n = cube_resolution(resolution, self.bandwidth, len(self.radii))
+        n = cube_resolution(points_per_side, self.bandwidth, len(self.radii))
         reach = float(self.radii[-1])
         values = self._ball()(cube_points(n, reach), threads=threads).reshape(n, n, n)
         origin = self.center - reach * self.scale
@@ -175,7 +164,7 @@ class ShellShape:
 
     def mesh_arrays(
         self,
-        resolution: int | None = None,
+        points_per_side: int | None = None,
         *,
         level: float | None = None,
         smallest: float = 0.0,
@@ -187,7 +176,7 @@ class ShellShape:
         """
         height = self.level if level is None else check.number(level, "level")
         share = check.number(smallest, "smallest", minimum=0, maximum=1)
-        n = cube_resolution(resolution, self.bandwidth, len(self.radii))
+        n = cube_resolution(points_per_side, self.bandwidth, len(self.radii))
         reach = float(self.radii[-1])
         points = cube_points(n, reach)
         sign = 1.0 if self.field == "signed_distance" else -1.0
@@ -202,7 +191,7 @@ class ShellShape:
 
     def to_triangle_mesh(
         self,
-        resolution: int | None = None,
+        points_per_side: int | None = None,
         *,
         level: float | None = None,
         smallest: float = 0.0,
@@ -215,7 +204,7 @@ class ShellShape:
         the distance has no inside; its surface is that of everything within ``width`` of the input.
 
         Args:
-            resolution: Grid points along an edge of the cube around the shells; see ``to_volume``.
+            points_per_side: Grid points along an edge of the cube around the shells; see ``to_volume``.
             level: Another value of the field than ``self.level``.
             smallest: Drop components with less than this share of the whole area; 0 keeps all.
             kind: ``"legacy"`` or ``"tensor"``; that of the input if not given.
@@ -225,7 +214,7 @@ class ShellShape:
             GeometryError: The field does not cross the level at this resolution.
             MemoryEstimateError: The grid would not fit in memory.
         """
-        mesh, normals = self.mesh_arrays(resolution, level=level, smallest=smallest, threads=threads)
+        mesh, normals = self.mesh_arrays(points_per_side, level=level, smallest=smallest, threads=threads)
         return open3d_mesh(mesh, chosen_kind(kind, self.kind), normals=normals)
 
     def to_point_cloud(self, n: int = 10_000, *, kind: GeometryKind | None = None) -> Any:
@@ -246,59 +235,7 @@ class ShellShape:
 
         They do not change when the input is rotated about the centre, moved or scaled.
         """
-        feature = open3d().pipelines.registration.Feature()
-        feature.data = np.ascontiguousarray(degree_energies(self.coefficients).T)
-        return feature
-
-    def truncated(self, bandwidth: int) -> ShellShape:
-        """Return the shape of the degrees below ``bandwidth``: a coarser level of detail."""
-        return replace(self, coefficients=np.asarray(truncate(self.coefficients, bandwidth), dtype=np.float64))
-
-    def filtered(self, gain_per_degree: object) -> ShellShape:
-        """Return the shape with each degree multiplied by a gain, (b,) or a function of the degrees."""
-        filtered = filter_coefficients(self.coefficients, gain_per_degree)
-        return replace(self, coefficients=np.asarray(filtered, dtype=np.float64))
-
-    def rotated(self, rotation: object) -> ShellShape:
-        """Return the shape rotated about its centre by R (3, 3), exactly; see ``rotate_coefficients``."""
-        turned = rotate_coefficients(self.coefficients, rotation)
-        return replace(self, coefficients=np.asarray(turned, dtype=np.float64))
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the shape to an ``.npz`` of plain arrays; ``load_shape`` reads it back, equal to the last bit.
-
-        Raises:
-            ValueError: The name does not end in ``.npz``.
-            OSError: The file cannot be written; what was there stays.
-        """
-        arrays = {
-            "coefficients": self.coefficients,
-            "radii": self.radii,
-            "field": np.array(self.field),
-            "center": self.center,
-            "scale": np.array(self.scale),
-            "width": np.array(self.width),
-            "geometry": np.array(self.kind),
-        }
-        storage.write_arrays(path, type(self).__name__, arrays)
-
-    @classmethod
-    def _from_arrays(cls, path: str | os.PathLike[str], arrays: dict[str, Any]) -> ShellShape:
-        coefficients = storage.field(path, arrays, "coefficients", 2)
-        storage.square_root(path, coefficients.shape[1])
-        radii = storage.field(path, arrays, "radii", 1)
-        center = storage.field(path, arrays, "center", 1)
-        scale = float(storage.field(path, arrays, "scale", 0))
-        width = arrays.get("width")
-        field, kind = str(arrays.get("field")), str(arrays.get("geometry", "legacy"))
-        try:
-            if width is None or np.shape(width) != ():
-                raise ValueError("width is malformed")
-            check.choice(field, "field", FIELDS)
-            shape = cls(coefficients, radii, field, center, scale, float(width), kind)  # type: ignore[arg-type]
-        except (ValueError, TypeError) as error:
-            raise GeometryReadError(f"{os.fspath(path)}: {error}") from None
-        return shape
+        return feature_of(degree_energies(self.coefficients).T)
 
     def _ball(self) -> BallFunction:
         return BallFunction(self.coefficients, float(self.radii[-1]) / len(self.radii))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import os
 import zipfile
 from collections.abc import Mapping
@@ -18,6 +17,8 @@ from fsh3d_o3d.errors import GeometryReadError
 
 FORMAT_VERSION = 1
 """Raised when files written now could not be read by older versions."""
+STORED_NAMES = {"kind": "geometry"}
+"""What a file calls a field of a shape where the names differ: ``kind`` is that of the shape."""
 _MAXIMUM_BYTES = 4 * 2**30
 
 
@@ -81,11 +82,3 @@ def field(
     if array.ndim != dimensions or array.dtype.kind not in "fiu" or not np.isfinite(array).all() or array.size == 0:
         raise GeometryReadError(f"{os.fspath(path)}: {name} is malformed ({array.dtype}, shape {array.shape})")
     return array.astype(np.float64, copy=False)
-
-
-def square_root(path: str | os.PathLike[str], count: int) -> int:
-    """The bandwidth of so many coefficients."""
-    b = math.isqrt(count)
-    if b * b != count:
-        raise GeometryReadError(f"{os.fspath(path)}: {count} coefficients are no square number")
-    return b

@@ -327,10 +327,10 @@ def test_open3d_objects(write):
     o3d = open3d()
     mesh, cloud = write("m.off", FILES["plain.off"].data), write("c.pcd", FILES["binary.pcd"].data)
     assert isinstance(read_geometry(mesh), o3d.geometry.TriangleMesh)
-    assert isinstance(read_geometry(mesh, tensor=True), o3d.t.geometry.TriangleMesh)
+    assert isinstance(read_geometry(mesh, kind="tensor"), o3d.t.geometry.TriangleMesh)
     points = read_geometry(cloud)
     assert isinstance(points, o3d.geometry.PointCloud) and points.has_normals() and points.has_colors()
-    assert isinstance(read_geometry(cloud, tensor=True, isolated=False), o3d.t.geometry.PointCloud)
+    assert isinstance(read_geometry(cloud, kind="tensor", isolated=False), o3d.t.geometry.PointCloud)
 
 
 # ---- the separate process ----

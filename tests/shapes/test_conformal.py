@@ -137,13 +137,13 @@ def test_normals_where_the_surface_degenerates_are_unit_vectors():
 
 @pytest.mark.parametrize("triangulation", ["icosphere", "fibonacci"])
 def test_resolution_and_triangulation(shape, triangulation):
-    mesh = shape.mesh_arrays(1000, triangulation)[0]
+    mesh = shape.mesh_arrays(1000, triangulation=triangulation)[0]
     assert len(mesh.vertices) == (1002 if triangulation == "icosphere" else 1000)
     assert measure_mesh(mesh).genus == 0
     with pytest.raises(ValueError, match="resolution must be"):
         shape.mesh_arrays(3)
     with pytest.raises(ValueError, match="triangulation must be"):
-        shape.mesh_arrays(100, "cube")
+        shape.mesh_arrays(100, triangulation="cube")
 
 
 def test_smoothing_does_not_collapse(shape):

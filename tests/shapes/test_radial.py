@@ -35,7 +35,7 @@ def test_degree_eight_star_comes_back_from_its_mesh(shape):
     # The facets lie inside the smooth surface by up to h²/6 = 1.2e-5, which moves c₀ by up to √4π times that.
     assert np.abs(again.coefficients - padded).max() < 4.5e-5
     directions = fsh.fibonacci_grid(5000).directions
-    error = again.radius(directions) / shape.radius(directions) - 1
+    error = again.evaluate(directions) / shape.evaluate(directions) - 1
     assert np.sqrt(np.mean(error**2)) < 2e-5  # 0.002 %
 
 
@@ -55,7 +55,7 @@ def test_volume_agrees_with_the_mesh(shape):
 
 @pytest.mark.parametrize("triangulation", ["icosphere", "fibonacci"])
 def test_decoded_mesh_is_closed_manifold_outward_and_of_genus_0(shape, triangulation):
-    mesh, normals = shape.mesh_arrays(3000, triangulation)
+    mesh, normals = shape.mesh_arrays(3000, triangulation=triangulation)
     measures = measure_mesh(mesh)
     assert measures.closed
     assert measures.vertex_manifold
@@ -100,7 +100,7 @@ def test_cloud_of_a_shape_gives_the_shape_back(shape):
     cloud = shape.to_point_cloud(20_000)
     again = fsh.RadialShape.from_geometry(cloud, 9, shape.center)
     directions = fsh.fibonacci_grid(2000).directions
-    assert np.abs(again.radius(directions) - shape.radius(directions)).max() < 1e-4
+    assert np.abs(again.evaluate(directions) - shape.evaluate(directions)).max() < 1e-4
 
 
 def test_mesh_far_from_the_origin(shape):

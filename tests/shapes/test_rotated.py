@@ -70,7 +70,7 @@ def test_radial_function_turns(random_rotation: np.ndarray) -> None:
     assert isinstance(shape, fsh.RadialShape)
     directions = fsh.fibonacci_grid(100).directions
     rotated = shape.rotated(random_rotation)
-    assert rotated.radius(directions @ random_rotation.T) == pytest.approx(shape.radius(directions), rel=1e-12)
+    assert rotated.evaluate(directions @ random_rotation.T) == pytest.approx(shape.evaluate(directions), rel=1e-12)
     # Colours or labels sampled by direction follow by the same map of directions.
     assert rotated.volume == pytest.approx(shape.volume, rel=1e-12)
 
@@ -79,8 +79,8 @@ def test_field_turns_about_the_centre(random_rotation: np.ndarray, rng: np.rando
     shape = shapes()["shells"]
     assert isinstance(shape, fsh.ShellShape)
     offsets = rng.uniform(-0.5, 0.5, (200, 3))
-    rotated = shape.rotated(random_rotation).values(shape.center + offsets @ random_rotation.T)
-    assert rotated == pytest.approx(shape.values(shape.center + offsets), abs=2e-5)  # float32
+    rotated = shape.rotated(random_rotation).evaluate(shape.center + offsets @ random_rotation.T)
+    assert rotated == pytest.approx(shape.evaluate(shape.center + offsets), abs=2e-5)  # float32
 
 
 def test_frame_and_kind_stay(shape: fsh.RadialShape | fsh.ShellShape, random_rotation: np.ndarray) -> None:

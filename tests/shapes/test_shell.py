@@ -99,10 +99,10 @@ def test_no_staircase_between_shells():
     steps = shape.radii[-1] * shape.scale * np.linspace(0.55, 0.98, 1000)
     points = steps[:, None] * way
     exact = (np.linalg.norm(points - [0.3, 0.2, -0.1], axis=1) - 1) / shape.scale
-    error = shape.values(points) - exact
+    error = shape.evaluate(points) - exact
     assert np.abs(error).max() < 5e-4  # facets 2e-4; the field is smooth out here
     # A staircase has slopes of 0 and of several between; the true slope is near 1.
-    slope = np.diff(shape.values(points)) / np.diff(exact)
+    slope = np.diff(shape.evaluate(points)) / np.diff(exact)
     assert np.abs(slope - 1).max() < 0.05
 
 
@@ -160,7 +160,7 @@ def test_volume_is_the_field_on_its_grid(ring):
     assert volume.values.shape == (20, 20, 20)
     index = np.array([[0, 0, 0], [3, 7, 11], [10, 9, 8], [19, 19, 0]])
     points = volume.origin + volume.spacing * index
-    assert volume.values[tuple(index.T)] == pytest.approx(ring.values(points), abs=1e-6)
+    assert volume.values[tuple(index.T)] == pytest.approx(ring.evaluate(points), abs=1e-6)
     assert volume.origin + 19 * volume.spacing == pytest.approx(2 * ring.center - volume.origin)
 
 
@@ -219,8 +219,8 @@ def test_point_cloud_lies_on_the_surface(ring):
     cloud = ring.to_point_cloud(500)
     points, normals = np.asarray(cloud.points), np.asarray(cloud.normals)
     assert points.shape == (500, 3)
-    assert np.abs(ring.values(points)).max() < 0.01  # the mesh's facets, in units of the radius
-    step = ring.values(points + 0.01 * normals) - ring.values(points - 0.01 * normals)
+    assert np.abs(ring.evaluate(points)).max() < 0.01  # the mesh's facets, in units of the radius
+    step = ring.evaluate(points + 0.01 * normals) - ring.evaluate(points - 0.01 * normals)
     assert (step > 0).all()
 
 
@@ -239,9 +239,8 @@ def test_files(tmp_path, field):
     shape = ShellShape.from_geometry(mesh, 5, 7, field, width=width)
     path = tmp_path / "shape.npz"
     shape.save(path)
-    kind, arrays = storage.read_arrays(path)
-    assert kind == "ShellShape"
-    again = ShellShape._from_arrays(path, arrays)
+    again = fsh.load_shape(path)
+    assert isinstance(again, ShellShape)
     for name in ("coefficients", "radii", "center"):
         assert getattr(again, name).tobytes() == getattr(shape, name).tobytes()
     for name in ("field", "scale", "width", "kind"):
@@ -272,8 +271,9 @@ def test_damaged_files(tmp_path, name, value):
         del arrays[name]
     else:
         arrays[name] = value
+    storage.write_arrays(path, "ShellShape", arrays)
     with pytest.raises(GeometryReadError, match=r"shape\.npz"):
-        ShellShape._from_arrays(path, arrays)
+        fsh.load_shape(path)
 
 
 def test_values_are_read_only(ring):
@@ -340,9 +340,9 @@ def test_bad_options(options, error):
 @pytest.mark.parametrize(
     ("options", "error"),
     [
-        ({"resolution": 4}, ValueError),
-        ({"resolution": 40.0}, TypeError),
-        ({"resolution": 4000}, MemoryEstimateError),
+        ({"points_per_side": 4}, ValueError),
+        ({"points_per_side": 40.0}, TypeError),
+        ({"points_per_side": 4000}, MemoryEstimateError),
         ({"level": math.nan}, ValueError),
         ({"smallest": 2.0}, ValueError),
         ({"kind": "plastic"}, ValueError),
@@ -350,7 +350,7 @@ def test_bad_options(options, error):
 )
 def test_bad_decoding_options(ring, options, error):
     with pytest.raises(error):
-        ring.to_triangle_mesh(**{"resolution": 16, **options})
+        ring.to_triangle_mesh(**{"points_per_side": 16, **options})
 
 
 def test_not_geometry_is_refused():
