@@ -1,4 +1,4 @@
-"""Processes of our own: what they import is installed, and they do not outlive the one that started them."""
+"""Python processes that import only what is installed, and do not outlive the one that started them."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ for name, folders in {packages!r}:
     sys.modules[name].__path__ = folders
 importlib.import_module({module!r}).{function}({argument!r})
 """
-_STANDARD_ERROR = 2
-_OVERTIME_SECONDS = 5.0  # beyond its caller's patience, after which a process ends itself
+_STANDARD_ERROR = 2  # the last of the three standard descriptors
+_OVERTIME_SECONDS = 5.0  # after its caller's time limit, a choice: the caller, who can say why, ends it before
 
 _started: weakref.WeakSet[ChildProcess] = weakref.WeakSet()
 
@@ -138,7 +138,7 @@ def fill_standard_descriptors() -> None:
 def end_after(seconds: float) -> None:
     """Let the kernel end this process unless it is asked again in time; 0: not any more.
 
-    The caller's own patience is shorter. This is for one that is stopped, or that has lost sight of the process.
+    The caller's own time limit is shorter. This is for one that is stopped, or that has lost sight of the process.
     """
     if seconds:
         signal.signal(signal.SIGALRM, signal.SIG_DFL)

@@ -34,9 +34,9 @@ _SECRET = re.compile(
     r"[^?]*\?(?:[^?]*&)?[^=&?]*(sig|signature|secret|token|password|access_?key|account_?key|credential)[^=&]*=)",
     re.IGNORECASE | re.DOTALL,
 )
-_CONNECT_SECONDS = 10.0
-_ANSWER_SECONDS = 30.0  # for the first answer of a storage whose own client may try for minutes
-_LISTED_FROM = 4  # files of one folder: one list of it instead of so many questions
+_CONNECT_SECONDS = 10.0  # to reach a storage, a choice; a connection takes well below one
+_ANSWER_SECONDS = 30.0  # a choice, for the first answer of a storage whose own client may try for minutes
+_LISTED_FROM = 4  # files of one folder, a choice: from here on one list of it replaces a question for each
 # In messages of the AWS library behind PyArrow, and of the one behind Lance.
 _NO_BUCKET = re.compile(r"NO_SUCH_BUCKET|NoSuchBucket")
 _DENIED = re.compile(

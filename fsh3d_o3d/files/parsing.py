@@ -58,9 +58,9 @@ PARSERS: dict[str, Parser] = {
 }
 """A file's extension, and what turns its content into arrays or raises ``GeometryError`` with the reason."""
 
-_SNIFFED = 4096  # bytes
-_LONGEST_REASON = 400  # characters
-_LONGEST_MESSAGE = 2000  # characters
+_SNIFFED_BYTES = 4096  # in which other formats are recognised; the longest pattern skips 3000
+_LONGEST_REASON = 400  # characters, a choice: five lines of a terminal
+_LONGEST_MESSAGE = 2000  # characters with the path, a choice
 _TOO_LITTLE_MEMORY = "needs more memory than the reader is allowed"
 # In this order; looked for only where the parser that the extension names has failed.
 _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
@@ -178,7 +178,7 @@ def _regular_content(path: str) -> bytes:
 
 def _with_sniffed(path: str, data: bytes, reason: str) -> str:
     own = Path(path).suffix[1:].upper()
-    found = next((name for name, signature in _SIGNATURES if signature.match(data[:_SNIFFED])), None)
+    found = next((name for name, signature in _SIGNATURES if signature.match(data[:_SNIFFED_BYTES])), None)
     if found is None and len(data) == binary_stl_size(data):
         found = "STL"
     if found is None or found == own or (found, own) == ("JSON", "GLTF"):

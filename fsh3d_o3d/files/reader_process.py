@@ -33,10 +33,10 @@ from fsh3d_o3d.files.parsing import read_error
 from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 READ_FILE = "fsh3d_o3d.files.parsing:read_file"
-_START_SECONDS = 60.0
-_HEARTBEAT = 0.5  # seconds after which waiting looks up: a signal that another thread has got wakes nobody who waits
-_DYING_SECONDS = 10.0  # for a process that has closed its pipes; it takes milliseconds
-_LARGEST_HEADER = 1 << 20
+_START_SECONDS = 60.0  # a choice; starting takes a quarter of a second, on a busy system many times that
+_POLL_SECONDS = 0.5  # a choice; waiting looks up, as a signal that another thread has got wakes nobody who waits
+_EXIT_SECONDS = 10.0  # a choice, for a process that has closed its pipes; it takes milliseconds
+_LARGEST_HEADER = 1 << 20  # bytes of JSON, a choice; answers have some hundred, and what is larger is none
 _FIELDS = {MeshArrays: ("vertices", "triangles"), PointArrays: ("points", "normals", "colors")}
 _CLASSES = {kind.__name__: kind for kind in _FIELDS}
 _DTYPES = {"f8": np.dtype(np.float64), "i8": np.dtype(np.int64)}
@@ -84,7 +84,7 @@ class ReaderProcess:
                 self._stop()
                 raise read_error(path, f"the reader was stopped after {timeout:g} s") from None
             except (EOFError, OSError):  # its end of the pipe is closed: it is dying, which takes a busy system a while
-                raise read_error(path, f"the reader died ({self._stop(_DYING_SECONDS)})") from None
+                raise read_error(path, f"the reader died ({self._stop(_EXIT_SECONDS)})") from None
             except (LookupError, TypeError, ValueError, AttributeError):
                 raise read_error(path, f"the reader died ({self._stop()})") from None
             except BaseException:  # an interrupt leaves half an answer in the pipe
@@ -127,14 +127,14 @@ class ReaderProcess:
             _receive(self._process, 1, time.monotonic() + _START_SECONDS)
         return self._process
 
-    def _stop(self, patience: float = 0) -> str:
-        """End the process, unless it does so itself in some seconds, and say how it had ended."""
+    def _stop(self, seconds: float = 0) -> str:
+        """End the process, unless it does so itself within ``seconds``, and say how it had ended."""
         process, self._process = self._process, None
         if process is None:
             return "it did not start"
         process.close_pipes()
         with contextlib.suppress(subprocess.TimeoutExpired):
-            code = process.wait(timeout=patience)
+            code = process.wait(timeout=seconds)
             process.end()
             return f"signal {-code}" if code < 0 else f"exit code {code}"
         process.end()
@@ -176,7 +176,7 @@ def _receive(process: ChildProcess, size: int, deadline: float) -> NDArray[np.ui
         remaining = deadline - time.monotonic()
         if remaining <= 0:
             raise _OutOfTimeError
-        if not poll.poll(1000 * min(remaining, _HEARTBEAT)):
+        if not poll.poll(1000 * min(remaining, _POLL_SECONDS)):
             continue
         got = os.readv(descriptor, [rest])
         if got == 0:

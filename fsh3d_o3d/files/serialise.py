@@ -38,7 +38,7 @@ def ply_bytes(surface: Surface) -> bytes:
         if values is not None:
             columns += [(name, "double", values[:, axis]) for axis, name in enumerate(names.split())]
     if surface.colors is not None:
-        octets = _octets(surface.colors)
+        octets = _color_bytes(surface.colors)
         columns += [(name, "uchar", octets[:, axis]) for axis, name in enumerate(("red", "green", "blue"))]
     table = np.empty(len(surface.points), dtype=[(name, column.dtype.newbyteorder("<")) for name, _, column in columns])
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}"]
@@ -75,7 +75,7 @@ def off_bytes(surface: Surface) -> bytes:
         columns.append(surface.normals.astype(object))
         pattern += " %r %r %r"
     if surface.colors is not None:
-        columns.append(_octets(surface.colors).astype(object))
+        columns.append(_color_bytes(surface.colors).astype(object))
         pattern += " %d %d %d 255"
     kind = ("C" if surface.colors is not None else "") + ("N" if surface.normals is not None else "") + "OFF"
     header = f"{kind}\n{len(surface.points)} {len(triangles)} 0\n"
@@ -91,13 +91,13 @@ def stl_bytes(surface: Surface) -> bytes:
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     facets = np.zeros(len(corners), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     facets["normal"] = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
-    facets["corners"] = _single(corners, "STL")
+    facets["corners"] = _as_float32(corners, "STL")
     return b"binary STL".ljust(80) + len(facets).to_bytes(4, "little") + facets.tobytes()
 
 
 def glb_bytes(surface: Surface) -> bytes:
     """Binary glTF 2.0: one mesh; float32 positions, normals and colours."""
-    points = _single(surface.points, "glTF")
+    points = _as_float32(surface.points, "glTF")
     blocks: list[tuple[str, NDArray[Any], str, int]] = [("POSITION", points, "VEC3", 34962)]
     if surface.normals is not None:
         length = np.linalg.norm(surface.normals, axis=1, keepdims=True)
@@ -154,11 +154,11 @@ def pcd_bytes(surface: Surface) -> bytes:
     if surface.normals is not None:
         fields += [(f"normal_{name}", "<f4", surface.normals[:, axis]) for axis, name in enumerate("xyz")]
     if surface.colors is not None:
-        packed = _octets(surface.colors).astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)
+        packed = _color_bytes(surface.colors).astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)
         fields.append(("rgb", "<u4", packed))
     table = np.empty(len(surface.points), dtype=[(name, dtype) for name, dtype, _ in fields])
     for name, dtype, column in fields:
-        table[name] = column if dtype == "<u4" else _single(column, "PCD")
+        table[name] = column if dtype == "<u4" else _as_float32(column, "PCD")
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
         "VERSION 0.7",
@@ -193,11 +193,11 @@ def _triangles(surface: Surface) -> IntArray:
     return surface.triangles
 
 
-def _octets(colors: Float64Array) -> NDArray[np.uint8]:
+def _color_bytes(colors: Float64Array) -> NDArray[np.uint8]:
     return np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8)
 
 
-def _single(values: Float64Array, kind: str) -> NDArray[np.float32]:
+def _as_float32(values: Float64Array, kind: str) -> NDArray[np.float32]:
     if np.abs(values).max() > np.finfo(np.float32).max:
         raise ValueError(f"{kind} stores float32, which cannot hold {np.abs(values).max():g}: choose .ply or .obj")
     return values.astype("<f4")

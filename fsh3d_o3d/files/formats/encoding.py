@@ -1,4 +1,4 @@
-"""What stands before any format: encodings of text, and pointers that stand for a file."""
+"""Before a format is parsed: encodings of text, and pointers of Git LFS and git-annex that stand for a file."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from fsh3d_o3d.files.formats.source import Source
 
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 _ANNEX_POINTER = re.compile(rb"/annex/objects/\S+\s*")
-_LARGEST_POINTER = 4096  # bytes
+_LARGEST_POINTER = 4096  # bytes; a pointer is one path, and PATH_MAX of Linux is as many
 # UTF-32 first: its mark begins with that of UTF-16.
-_WIDE = (
+_WIDE_ENCODINGS = (
     (codecs.BOM_UTF32_LE, "utf-32-le", 4, 0),
     (codecs.BOM_UTF32_BE, "utf-32-be", 4, 3),
     (codecs.BOM_UTF16_LE, "utf-16-le", 2, 0),
     (codecs.BOM_UTF16_BE, "utf-16-be", 2, 1),
 )  # mark, name, bytes of a character, place of the byte that ASCII uses
-_LOOKED_AT = 2048  # bytes; more than the header of a binary STL, which may begin with anything
-_MOSTLY = 0.5  # share of ASCII; a comment may be in any language
-_LEAST = 16  # bytes without a mark that can be told to be text
+_INSPECTED = 2048  # bytes, a choice: more than the header of a binary STL, which may begin with anything
+_ASCII_SHARE = 0.5  # of the characters, a choice: keywords and numbers are ASCII, a comment may be in any language
+_UNMARKED = 16  # bytes that must all be ASCII where there is no mark, a choice: four characters of UTF-32
 
 
 def check_not_a_pointer(data: bytes) -> None:
@@ -42,13 +42,13 @@ def plain_text(source: Source) -> bytes:
     data = source.data
     if data.startswith(codecs.BOM_UTF8):
         return data[len(codecs.BOM_UTF8) :]
-    for mark, encoding, width, place in _WIDE:
+    for mark, encoding, width, place in _WIDE_ENCODINGS:
         marked = data.startswith(mark)
         body = data[len(mark) :] if marked else data
         # Without a mark, what comes first has to be ASCII as well: the header of a binary format is not wide.
-        if not marked and not (len(data) >= _LEAST and _is_wide_ascii(body[:_LEAST], width, place, least=1.0)):
+        if not marked and not (len(data) >= _UNMARKED and _is_wide_ascii(body[:_UNMARKED], width, place, least=1.0)):
             continue
-        if _is_wide_ascii(body[:_LOOKED_AT], width, place, least=_MOSTLY):
+        if _is_wide_ascii(body[:_INSPECTED], width, place, least=_ASCII_SHARE):
             return _decoded(source, body, encoding, marked=marked)
     return data
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryReadError
-from fsh3d_o3d.files.formats.obj_odd_lines import known_keywords
+from fsh3d_o3d.files.formats.obj_keywords import known_keywords
 from fsh3d_o3d.files.formats.result import cloud_of, polygon_mesh_of
 from fsh3d_o3d.files.formats.source import Source, counted
 from fsh3d_o3d.files.formats.text import NumberRows, TextLines, indices, without_comments

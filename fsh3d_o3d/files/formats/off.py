@@ -25,8 +25,8 @@ _BINARY = re.compile(rb"(?:\s|#[^\n]*\n)*((?:ST|[CN4n])*)OFF[ \t]+BINARY[^\n]*\n
 _DIMENSION = re.compile(rb"\s*(\d{1,9})(?=\s)")
 # The counts may follow the keyword at once, as in ``OFF8 6 12`` (Princeton Shape Benchmark); edges may be left out.
 _COUNTS = re.compile(rb"\s*(\d{1,18})[ \t]+(\d{1,18})(?:[ \t]+\d+)?[ \t]*(?=[\r\n]|$)")
-_COUNTS_APART = re.compile(rb"\s*(\d{1,18})\s+(\d{1,18})\s+\d+(?=\s|$)")
-_COUNTS_ALONE = re.compile(rb"\s*(\d{1,18})[ \t]+(\d{1,18})[ \t]+\d+[ \t]*(?=[\r\n])")
+_COUNTS_ON_SEVERAL_LINES = re.compile(rb"\s*(\d{1,18})\s+(\d{1,18})\s+\d+(?=\s|$)")
+_THREE_COUNTS = re.compile(rb"\s*(\d{1,18})[ \t]+(\d{1,18})[ \t]+\d+[ \t]*(?=[\r\n])")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ def parse_off(source: Source) -> MeshArrays | PointArrays:
         return read_binary_off(source, binary[1].decode("ascii"), binary.end())
     text = without_comments(source.data)
     keyword = _KEYWORD.match(text)
-    if keyword is None and _COUNTS_ALONE.match(text) is None:
+    if keyword is None and _THREE_COUNTS.match(text) is None:
         raise GeometryReadError("does not begin with OFF")
     prefix, end = ("", 0) if keyword is None else (keyword[1].decode("ascii"), keyword.end())
     if "n" in prefix:
@@ -60,7 +60,7 @@ def parse_off(source: Source) -> MeshArrays | PointArrays:
             raise GeometryReadError("the number of dimensions is missing behind nOFF")
         OffVertices.check_dimension(int(dimension[1]))
         end = dimension.end()
-    counts = _COUNTS.match(text, end) or _COUNTS_APART.match(text, end)
+    counts = _COUNTS.match(text, end) or _COUNTS_ON_SEVERAL_LINES.match(text, end)
     if counts is None:
         raise GeometryReadError("the numbers of vertices and faces are missing behind OFF")
     vertex_count, face_count = int(counts[1]), int(counts[2])

@@ -12,20 +12,20 @@ from fsh3d_o3d.files.formats.result import polygon_mesh_of
 from fsh3d_o3d.files.formats.source import Source, counted
 from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
-_WORD = 4  # bytes of every number
+_WORD = 4  # bytes of every number, an int32 or a float32
 
 
 def read_binary_off(source: Source, prefix: str, offset: int) -> MeshArrays | PointArrays:
     """Return what follows the line of the keyword: counts, vertices, and faces with the number of their colour's parts.
 
     The format is big-endian. Some programs write little-endian numbers, or leave out the faces' colours: what is taken
-    is the first of the four ways that leaves nothing behind.
+    is the first of the four readings that leaves nothing behind.
     """
-    ways = [_read(source.data, offset, prefix, order, colored=colored) for order in "><" for colored in (True, False)]
-    found = [way for way in ways if not isinstance(way, str)]
+    tried = [_read(source.data, offset, prefix, order, colored=colored) for order in "><" for colored in (True, False)]
+    found = [one for one in tried if not isinstance(one, str)]
     if not found:
-        raise GeometryReadError(next(reason for reason in ways if isinstance(reason, str)))
-    rest, order, table, corners, counts = min(found, key=lambda way: way[0])
+        raise GeometryReadError(next(reason for reason in tried if isinstance(reason, str)))
+    rest, order, table, corners, counts = min(found, key=lambda one: one[0])
     if rest:
         source.note(f"{counted(rest, 'byte')} behind the numbers that the header announces passed over")
     if order == "<":

@@ -1,4 +1,4 @@
-"""What stands on the vertices of an OFF file."""
+"""Vertices of an OFF file: positions, normals, colours and texture coordinates, told apart by the keyword."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from fsh3d_o3d.files.formats.result import cloud_of
 from fsh3d_o3d.files.formats.source import Source
 from fsh3d_o3d.geometry import PointArrays
 
-_NORMAL = 3
-_TEXTURE = 2
+_NORMAL = 3  # numbers of a normal
+_TEXTURE = 2  # numbers of a texture coordinate
 
 
 @dataclass(frozen=True, eq=False)

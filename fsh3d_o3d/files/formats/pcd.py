@@ -16,12 +16,12 @@ from fsh3d_o3d.files.formats.text import TextLines, text_reason
 from fsh3d_o3d.geometry import PointArrays
 
 _HEADER = re.compile(rb"(?:[^\n]*\n)*?[ \t]*DATA[ \t]+(\w+)[ \t]*(?:\r?\n|$)", re.IGNORECASE)
-_MAXIMUM_HEADER = 1 << 16
+_MAXIMUM_HEADER = 1 << 16  # bytes; PCL writes some hundred, and what is no PCD is not searched to its end
 _OTHER_NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z", "red": "r", "green": "g", "blue": "b"}
 _NORMALS = ("normal_x", "normal_y", "normal_z")
 _KINDS = ("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8")
 _FILLING = b"\0\n\r "  # PCL fills up to whole pages of memory
-_LZF_LARGEST_RATIO = 88  # three bytes stand for at most 264
+_LZF_LARGEST_RATIO = 88  # unpacked over packed bytes: three stand for at most 264
 
 
 @dataclass(frozen=True)

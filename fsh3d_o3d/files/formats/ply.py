@@ -57,7 +57,7 @@ def _read_binary(source: Source, offset: int, elements: list[PlyElement]) -> dic
         }
     if data[offset:].strip():
         rest = counted(len(data) - offset, "byte")
-        if _more_follow(data, offset, elements):
+        if _more_records_follow(data, offset, elements):
             raise GeometryReadError(
                 f"{rest} follow the elements that the header announces, in records like the last one"
             )
@@ -65,7 +65,7 @@ def _read_binary(source: Source, offset: int, elements: list[PlyElement]) -> dic
     return tables
 
 
-def _more_follow(data: bytes, offset: int, elements: list[PlyElement]) -> bool:
+def _more_records_follow(data: bytes, offset: int, elements: list[PlyElement]) -> bool:
     """Whether what follows the last element looks like more of it: then the header's count is not the file's."""
     last = next((element for element in reversed(elements) if element.properties), None)
     if last is None:

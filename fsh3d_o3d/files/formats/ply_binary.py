@@ -1,4 +1,4 @@
-"""Records of binary PLY, with lists inside."""
+"""Records of binary PLY: in one view where their lists are equally long, one after another where not."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def read_binary_element(data: bytes, offset: int, name: str, count: int, layout:
     if count == 0:
         empty = np.empty(0)
         return [(empty, None if length is None else empty.astype(np.int64)) for _, length in layout], offset
-    result = _alike(data, offset, count, layout)
-    return result if result is not None else _unlike(data, offset, name, count, layout)
+    result = _equal_lengths(data, offset, count, layout)
+    return result if result is not None else _varying_lengths(data, offset, name, count, layout)
 
 
-def _alike(data: bytes, offset: int, count: int, layout: Layout) -> tuple[Columns, int] | None:
+def _equal_lengths(data: bytes, offset: int, count: int, layout: Layout) -> tuple[Columns, int] | None:
     """Read records whose lists have the lengths of the first record's, in one view; None where they do not."""
     lengths = _first_lengths(data, offset, layout)
     if lengths is None:
@@ -85,9 +85,9 @@ def _first_lengths(data: bytes, offset: int, layout: Layout) -> list[int] | None
     return lengths
 
 
-def _unlike(data: bytes, offset: int, name: str, count: int, layout: Layout) -> tuple[Columns, int]:
+def _varying_lengths(data: bytes, offset: int, name: str, count: int, layout: Layout) -> tuple[Columns, int]:
     """Read records whose lists differ in length."""
-    starts, lengths, end = _walk(data, offset, name, count, layout)
+    starts, lengths, end = _record_starts(data, offset, name, count, layout)
     raw = np.frombuffer(data, dtype=np.uint8)
     columns: Columns = []
     at = starts
@@ -107,7 +107,7 @@ def _unlike(data: bytes, offset: int, name: str, count: int, layout: Layout) -> 
     return columns, end
 
 
-def _walk(data: bytes, offset: int, name: str, count: int, layout: Layout) -> tuple[IntArray, IntArray, int]:
+def _record_starts(data: bytes, offset: int, name: str, count: int, layout: Layout) -> tuple[IntArray, IntArray, int]:
     """Return where each record starts, its lists' lengths (count, lists), and where the last one ends.
 
     A record's place depends on the lengths in the one before: this chain is the one thing here that has to be

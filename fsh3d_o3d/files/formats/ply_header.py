@@ -21,7 +21,7 @@ _TYPES = {
     "float64": "f8",
 }
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-_MAXIMUM_HEADER = 1 << 20
+_MAXIMUM_HEADER = 1 << 20  # bytes; room for thousands of comments, and what is no PLY is not searched to its end
 # What is looked for: such a name in capitals means the same.
 _NAMES = frozenset(["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "vertex_indices", "vertex_index"])
 
@@ -86,16 +86,16 @@ def parse_header(source: Source) -> tuple[str, list[PlyElement], int]:
             case ["property", *what] if elements and order is not None:
                 old = elements[-1]
                 elements[-1] = PlyElement(old.name, old.count, (*old.properties, _property(what, order, old, line)))
-            case _ if _is_remark(line):
+            case _ if _is_unmarked_comment(line):
                 source.note(f"header line {text_reason(line)} passed over: it is neither a comment nor anything else")
             case _:
                 raise GeometryReadError(f"header line {text_reason(line)} is not understood")
     if order is None:
         raise GeometryReadError("the header names no format")
-    return order, [_in_small_letters(source, element) for element in elements], end.end()
+    return order, [_in_lower_case(source, element) for element in elements], end.end()
 
 
-def _is_remark(line: bytes) -> bool:
+def _is_unmarked_comment(line: bytes) -> bool:
     """Whether a line is a comment without the word (Blender 2.47 wrote such), and nothing that damage has changed."""
     words = line.decode("latin-1").split()
     statement = words[0][:2].lower() in ("el", "pr", "fo", "en") or (len(words) == 3 and words[2].isdigit())
@@ -103,8 +103,8 @@ def _is_remark(line: bytes) -> bool:
     return line.decode("latin-1").isprintable() and len(words) > 1 and not statement and not known
 
 
-def _in_small_letters(source: Source, element: PlyElement) -> PlyElement:
-    """Return the element with the names that are looked for in small letters, as they are defined."""
+def _in_lower_case(source: Source, element: PlyElement) -> PlyElement:
+    """Return the element with the names that are looked for in lower case, as they are defined."""
     names = {entry.name for entry in element.properties}
     renamed = []
     for entry in element.properties:

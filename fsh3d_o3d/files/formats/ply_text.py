@@ -1,4 +1,4 @@
-"""Data of text PLY."""
+"""Data of text PLY: a record a line, or the numbers one after another."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from fsh3d_o3d.files.formats.ply_header import PlyColumn, PlyElement
 from fsh3d_o3d.files.formats.source import Source, counted
 from fsh3d_o3d.files.formats.text import NumberRows, TextLines, indices
 
-_REMARK = re.compile(rb"(?:(?<=[\r\n])|\A)[ \t]*(?:comment|obj_info)\b[^\r\n]*")
+_COMMENT = re.compile(rb"(?:(?<=[\r\n])|\A)[ \t]*(?:comment|obj_info)\b[^\r\n]*")
 _NUMBER = re.compile(rb"[-+]?\.?\d")
-_MAXIMUM_REMARKS = 1000  # lines behind the data that are looked at
+_MAXIMUM_TRAILING = 1000  # lines of words behind the data, a choice: more is a count that is wrong
 
 
 def read_text(source: Source, text: bytes, elements: list[PlyElement]) -> dict[str, dict[str, PlyColumn]]:
     """Return the columns of each element; one record is on each line, or the numbers follow one another anyhow."""
     elements = [element for element in elements if element.properties]
     if b"comment" in text or b"obj_info" in text:
-        text, found = _REMARK.subn(b"", text)
+        text, found = _COMMENT.subn(b"", text)
         if found:
             source.note(f"{counted(found, 'comment')} among the data passed over")
     lines = TextLines.of(text)
@@ -37,8 +37,8 @@ def read_text(source: Source, text: bytes, elements: list[PlyElement]) -> dict[s
 
 def _line_by_line(source: Source, lines: TextLines, elements: list[PlyElement]) -> dict[str, dict[str, PlyColumn]]:
     expected = sum(element.count for element in elements)
-    remarks = len(lines) - expected
-    if not 0 <= remarks <= _MAXIMUM_REMARKS or any(
+    trailing = len(lines) - expected
+    if not 0 <= trailing <= _MAXIMUM_TRAILING or any(
         _NUMBER.match(lines.raw(line)) for line in range(expected, len(lines))
     ):
         raise GeometryReadError(f"the header announces {expected} lines, but {len(lines)} follow")
@@ -46,8 +46,8 @@ def _line_by_line(source: Source, lines: TextLines, elements: list[PlyElement]) 
     for element in elements:
         tables[element.name] = _text_columns(element, lines.span(row, row + element.count))
         row += element.count
-    if remarks:
-        source.note(f"{counted(remarks, 'line')} behind the data passed over")
+    if trailing:
+        source.note(f"{counted(trailing, 'line')} behind the data passed over")
     return tables
 
 

@@ -14,23 +14,23 @@ from fsh3d_o3d.files.formats.text import NumberRows, TextLines, indices
 from fsh3d_o3d.files.formats.text_columns import text_columns
 from fsh3d_o3d.geometry import PointArrays
 
-_UNIT = 1e-2  # how far the length of a printed normal may be from 1
+_UNIT_LENGTH = 1e-2  # how far a normal may be from length 1: it may be printed with two decimals
 _NORMALS = ("nx", "ny", "nz")
-_PTS_WIDTHS = (3, 4, 6, 7)
+_PTS_WIDTHS = (3, 4, 6, 7)  # columns: a position, and after it an intensity, a colour or both
 _COUNT_AND_BLANK_LINE = re.compile(rb"\s*\d+[ \t]*(?:\r\n|\n|\r)[ \t]*[\r\n]")
-_HEAVIEST_ELEMENT = 118
+_HEAVIEST_ELEMENT = 118  # atomic number of oganesson; none is known beyond
 
 
 def parse_xyz(source: Source) -> PointArrays:
     """Return lines ``x y z …``; a fourth to sixth column are normals where all of them have length 1."""
     table, names = _table(source)
     if names is not None:
-        return _named(source, table, names)
+        return _from_named_columns(source, table, names)
     _check_no_atomic_numbers(source, table)
     if table.shape[1] != 6:
         return cloud_of(source, table[:, :3])
     normals = table[:, 3:]
-    unit = bool((np.abs(np.linalg.norm(normals, axis=1) - 1) < _UNIT).all())
+    unit = bool((np.abs(np.linalg.norm(normals, axis=1) - 1) < _UNIT_LENGTH).all())
     return cloud_of(source, table[:, :3], normals if unit else None)
 
 
@@ -38,8 +38,8 @@ def parse_xyzn(source: Source) -> PointArrays:
     """Return lines ``x y z nx ny nz``."""
     table, names = _table(source)
     if names is not None:
-        return _named(source, table, names)
-    table = _six(source, table)
+        return _from_named_columns(source, table, names)
+    table = _six_columns(source, table)
     return cloud_of(source, table[:, :3], table[:, 3:])
 
 
@@ -47,8 +47,8 @@ def parse_xyzrgb(source: Source) -> PointArrays:
     """Return lines ``x y z r g b``, colours in [0, 1] or 0 … 255."""
     table, names = _table(source)
     if names is not None:
-        return _named(source, table, names)
-    table = _six(source, table)
+        return _from_named_columns(source, table, names)
+    table = _six_columns(source, table)
     return cloud_of(source, table[:, :3], colors=_colors(table[:, 3:]))
 
 
@@ -56,12 +56,12 @@ def parse_pts(source: Source) -> PointArrays:
     """Return a number of points and lines ``x y z [intensity] [r g b]``, colours 0 … 255; or several such scans."""
     table, names = _table(source, counted_format=True)
     if names is not None:
-        return _named(source, table, names)
+        return _from_named_columns(source, table, names)
     width = table.shape[1]
     if width not in _PTS_WIDTHS:
         source.note(f"the {width - 3} columns behind x, y and z passed over: PTS has 3, 4, 6 or 7 columns")
         return cloud_of(source, table[:, :3])
-    return cloud_of(source, table[:, :3], colors=_bytes(table[:, -3:]) if width > 4 else None)
+    return cloud_of(source, table[:, :3], colors=_from_bytes(table[:, -3:]) if width > 4 else None)
 
 
 def _table(source: Source, *, counted_format: bool = False) -> tuple[Float64Array, tuple[str, ...] | None]:
@@ -130,7 +130,7 @@ def _check_no_atomic_numbers(source: Source, table: Float64Array) -> None:
             )
 
 
-def _named(source: Source, table: Float64Array, names: tuple[str, ...]) -> PointArrays:
+def _from_named_columns(source: Source, table: Float64Array, names: tuple[str, ...]) -> PointArrays:
     def columns(wanted: tuple[str, ...]) -> Float64Array | None:
         if any(names.count(name) != 1 for name in wanted):
             return None
@@ -145,7 +145,7 @@ def _named(source: Source, table: Float64Array, names: tuple[str, ...]) -> Point
     return cloud_of(source, points, columns(_NORMALS), None if colors is None else _colors(colors))
 
 
-def _six(source: Source, table: Float64Array) -> Float64Array:
+def _six_columns(source: Source, table: Float64Array) -> Float64Array:
     if table.shape[1] < 6:
         raise GeometryReadError(f"each point needs 6 numbers, found {table.shape[1]}")
     if table.shape[1] > 6:
@@ -154,10 +154,10 @@ def _six(source: Source, table: Float64Array) -> Float64Array:
 
 
 def _colors(values: Float64Array) -> Float64Array:
-    return values if np.nanmax(values, initial=0) <= 1 and np.nanmin(values, initial=0) >= 0 else _bytes(values)
+    return values if np.nanmax(values, initial=0) <= 1 and np.nanmin(values, initial=0) >= 0 else _from_bytes(values)
 
 
-def _bytes(values: Float64Array) -> Float64Array:
+def _from_bytes(values: Float64Array) -> Float64Array:
     if not ((values >= 0) & (values <= 255)).all():
         raise GeometryReadError("colours must lie in 0 … 255")
     return values / 255

@@ -1,4 +1,4 @@
-"""Polygons into triangles."""
+"""Polygons into triangles: as fans where they are convex, by clipping ears where not."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from fsh3d_o3d.files.formats.source import Source
 from fsh3d_o3d.geometry import triangulate
 
 # Of a polygon's area: a smaller fold comes from rounding in single precision, not from a concave corner.
-_FOLD = 1e-6
-# Same: an overlap larger than this that is left all the same is worth a note.
-_OVERLAP = 1e-3
-_BLOCK = 8192  # quadrangles looked at together: what is in between stays in the processor's cache
+_FOLD_TOLERANCE = 1e-6
+_NOTED_OVERLAP = 1e-3  # of a polygon's area, a choice: a smaller overlap that is left is not worth a note
+_BLOCK = 8192  # quadrangles at a time: their coordinates, 0.8 MB, stay in the processor's cache
 
 
 def cut_polygons(
@@ -44,18 +43,18 @@ def cut_polygons(
     if not len(triangles) or triangles.min() < 0 or triangles.max() >= len(vertices):
         return triangles  # an error further on
     positions = _of_size_one(vertices)
-    doubtful = np.flatnonzero(_may_fold(positions, polygons, starts, counts))
-    if not len(doubtful):
+    candidates = np.flatnonzero(_may_fold(positions, polygons, starts, counts))
+    if not len(candidates):
         return triangles
     first = np.cumsum(np.maximum(counts - 2, 0)) - np.maximum(counts - 2, 0)
-    fans = counts[doubtful] - 2
-    folded, normals = _folded(positions, triangles[_ranges(first[doubtful], fans)], fans, _FOLD)
+    fans = counts[candidates] - 2
+    folded, normals = _folded(positions, triangles[_ranges(first[candidates], fans)], fans, _FOLD_TOLERANCE)
     if len(folded):
-        chosen, fans = doubtful[folded], fans[folded]
+        chosen, fans = candidates[folded], fans[folded]
         rows = _ranges(first[chosen], fans)
         corners = polygons[_ranges(starts[chosen], counts[chosen])]
         triangles[rows] = corners[_cut_folded(positions, corners, counts[chosen], normals)]
-        overlapping, _ = _folded(positions, triangles[rows], fans, _OVERLAP)
+        overlapping, _ = _folded(positions, triangles[rows], fans, _NOTED_OVERLAP)
         if len(overlapping):
             source.note(f"{len(overlapping)} of {len(counts)} polygons cross themselves: their triangles overlap")
     return triangles
@@ -68,9 +67,9 @@ def _of_size_one(vertices: Float64Array) -> Float64Array:
 
 
 def _may_fold(positions: Float64Array, polygons: IntArray, starts: IntArray, counts: IntArray) -> NDArray[np.bool_]:
-    """(p,) which polygons' fans have to be looked at: all of five corners and more, and doubtful quadrangles.
+    """(p,) which polygons' fans have to be looked at: all of five corners and more, and folded quadrangles.
 
-    A quadrangle's fan is right if its two triangles face the same way: most are told apart by that alone, quickly.
+    A quadrangle's fan is right if its two triangles face the same side, which is quickly found out.
     """
     result = counts > 4
     four = np.flatnonzero(counts == 4)
@@ -82,10 +81,10 @@ def _may_fold(positions: Float64Array, polygons: IntArray, starts: IntArray, cou
         for coordinate in away:
             coordinate[1:] -= coordinate[0]
         x, y, z = away
-        facing = (y[1] * z[2] - z[1] * y[2]) * (y[2] * z[3] - z[2] * y[3])
-        facing += (z[1] * x[2] - x[1] * z[2]) * (z[2] * x[3] - x[2] * z[3])
-        facing += (x[1] * y[2] - y[1] * x[2]) * (x[2] * y[3] - y[2] * x[3])
-        result[quads] = facing < 0
+        agreement = (y[1] * z[2] - z[1] * y[2]) * (y[2] * z[3] - z[2] * y[3])
+        agreement += (z[1] * x[2] - x[1] * z[2]) * (z[2] * x[3] - x[2] * z[3])
+        agreement += (x[1] * y[2] - y[1] * x[2]) * (x[2] * y[3] - y[2] * x[3])
+        result[quads] = agreement < 0
     return result
 
 

@@ -1,4 +1,4 @@
-"""From numbers of a file to geometry: what formats have in common once they are parsed."""
+"""Geometry from the numbers of a file: what formats have in common once they are parsed."""
 
 from __future__ import annotations
 

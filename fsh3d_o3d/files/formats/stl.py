@@ -15,10 +15,10 @@ from fsh3d_o3d.files.formats.source import Source, counted
 from fsh3d_o3d.files.formats.stl_text import text_stl_corners
 from fsh3d_o3d.geometry import MeshArrays
 
-_HEADER_BYTES = 84
+_HEADER_BYTES = 84  # 80 of free text, and four that count the facets
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _UNFILLED = (0, 2**32 - 1)  # what writers leave in the header that never come back to fill in the count
-_HEAD = 4096  # bytes in which a text STL gives itself away
+_HEAD_BYTES = 4096  # in which a text STL shows its first facet, however long the name of the solid; a choice
 _BLANKS = b"\0 \t\r\n\x1a"
 _FACET_WORDS = re.compile(rb"\bfacet\s+normal\s|\bouter\s+loop\s", re.IGNORECASE)
 _SOLID = re.compile(rb"\s*solid\b", re.IGNORECASE)
@@ -57,7 +57,7 @@ def parse_stl(source: Source) -> MeshArrays:
 
 
 def _is_text(data: bytes) -> bool:
-    head = data[:_HEAD]
+    head = data[:_HEAD_BYTES]
     return _FACET_WORDS.search(head) is not None or (_SOLID.match(head) is not None and b"\0" not in head)
 
 
@@ -95,7 +95,7 @@ def _binary_corners(source: Source) -> Float64Array:
     if announced == 0:
         raise GeometryReadError(f"truncated or damaged: {sizes}" if whole else "the header announces 0 triangles")
     if expected > len(data):
-        if b"\0" not in data[:_HEAD] and data[:_HEADER_BYTES].isascii():
+        if b"\0" not in data[:_HEAD_BYTES] and data[:_HEADER_BYTES].isascii():
             raise GeometryReadError("it does not begin with 'solid' as text STL does, and is no binary STL of its size")
         raise GeometryReadError(f"truncated or damaged: {sizes}, {whole} whole triangles")
     facets = _facets(data, announced)
@@ -103,7 +103,7 @@ def _binary_corners(source: Source) -> Float64Array:
     if extra and facets["attribute"].any():
         facets, extra = _with_payload(source, facets, extra)
     behind = data[len(data) - extra :].strip(_BLANKS)
-    if behind and (extra % _FACET.itemsize == 0 or _more_of(facets, data[len(data) - extra :])):
+    if behind and (extra % _FACET.itemsize == 0 or _another_facet_follows(facets, data[len(data) - extra :])):
         raise GeometryReadError(
             f"damaged: {sizes}, {whole} whole triangles: the count is wrong, or the file is not STL"
         )
@@ -116,7 +116,7 @@ def _facets(data: bytes, count: int) -> NDArray[np.void]:
     return np.frombuffer(data, dtype=_FACET, count=count, offset=_HEADER_BYTES)
 
 
-def _more_of(facets: NDArray[np.void], behind: bytes) -> bool:
+def _another_facet_follows(facets: NDArray[np.void], behind: bytes) -> bool:
     """Whether what follows the facets looks like one more: a triangle where the others are."""
     if len(behind) < _FACET.itemsize or not len(facets):
         return False

@@ -16,7 +16,7 @@ _FACET = np.array([b"facet", b"outer", b"vertex", b"vertex", b"vertex", b"endloo
 _KNOWN = np.append(np.unique(_FACET), np.array([b"solid", b"endsolid"], dtype="S12"))
 _EMPTY = "the file holds 0 triangles"
 _COMMENT = re.compile(rb"^[ \t]*(?:#|;|//|%)[^\r\n]*", re.MULTILINE)
-_END_APART = re.compile(rb"\bend[ \t]+(?=(?:loop|facet|solid)\b)")
+_SPLIT_KEYWORD = re.compile(rb"\bend[ \t]+(?=(?:loop|facet|solid)\b)")
 _KEYWORD_INSIDE = re.compile(rb"(?<=[ \t])(?=(?:facet|outer|vertex|endloop|endfacet|endsolid|solid)\b)")
 
 
@@ -56,7 +56,7 @@ def _one_keyword_a_line(source: Source) -> tuple[TextLines, NDArray[np.bytes_]]:
     if np.isin(keywords, _KNOWN).all() and _fault(keywords) is None:
         return lines, keywords
     text, comments = _COMMENT.subn(b"", text)
-    text, apart = _END_APART.subn(b"end", text)
+    text, apart = _SPLIT_KEYWORD.subn(b"end", text)
     lines = TextLines.of(text)
     keywords = lines.keywords()
     fault = _fault(keywords)
@@ -80,9 +80,9 @@ def _fault(keywords: NDArray[np.bytes_]) -> str | None:
     inside = keywords[(keywords != b"solid") & (keywords != b"endsolid")]
     known = np.isin(inside, _KNOWN)
     place: IntArray = np.cumsum(known) - known  # how many lines of facets stand before each line
-    strange = np.flatnonzero(~known & (place % len(_FACET) != 0))
-    if len(strange):
-        return f"damaged or truncated: {text_reason(bytes(inside[strange[0]]))} is not a keyword of text STL"
+    unknown = np.flatnonzero(~known & (place % len(_FACET) != 0))
+    if len(unknown):
+        return f"damaged or truncated: {text_reason(bytes(inside[unknown[0]]))} is not a keyword of text STL"
     body = inside[known]
     if len(body) % len(_FACET) or (body.reshape(-1, len(_FACET)) != _FACET).any():
         return "truncated or damaged: a facet is not three vertices in a loop"

@@ -2,7 +2,7 @@
 
 ``numpy.fromstring`` reads integers ten times faster than floats. A decimal such as ``-0.393421`` is the integer −393421
 divided by 10⁶, and that quotient is correctly rounded as long as both are exact in float64 (Clinger 1990), so decimals
-are read as integers too; only exponents, very long mantissas, NaN and infinities take the slow road.
+are read as integers too; only exponents, very long mantissas, NaN and infinities are read as floats.
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ from fsh3d_o3d.errors import GeometryReadError
 
 # Control characters count as white space when tokens are cut; NumPy then stops at those that are none, an error.
 _SPACE = ord(" ")
-_NINE = ord("9")
-_EXACT_INTEGER = 2**53
+_NINE = ord("9")  # what is above it is a letter: exponents, nan, inf
+_EXACT_INTEGER = 2**53  # float64 holds every whole number up to here
 _EXACT_POWER = 22  # 10²² is the largest power of ten that float64 holds exactly
 _POWERS = 10.0 ** np.arange(_EXACT_POWER + 1)
-# Appended to the text and looked for in the answer: NumPy before 2.4 only warns when it stops at garbage.
+# Appended to the text and looked for in the answer: NumPy before 2.4 only warns when it stops at garbage. Any number
+# that files do not happen to end with will do.
 _SENTINEL = 71408251
 
 
@@ -52,10 +53,10 @@ class NumberRows:
         if not len(self.counts):
             return np.empty((0, minimum))
         width = int(self.counts[0])
-        odd = np.flatnonzero(self.counts != width)
-        if len(odd):
+        uneven = np.flatnonzero(self.counts != width)
+        if len(uneven):
             raise GeometryReadError(
-                f"{what} {odd[0]} has {self.counts[odd[0]]} numbers, {what} 0 has {width}: damaged or truncated"
+                f"{what} {uneven[0]} has {self.counts[uneven[0]]} numbers, {what} 0 has {width}: damaged or truncated"
             )
         if width < minimum:
             raise GeometryReadError(f"each {what} needs {minimum} numbers, found {width}")
@@ -136,9 +137,9 @@ def _numbers(data: NDArray[np.uint8], starts: IntArray, stops: IntArray) -> Floa
     starts, stops = starts - starts[0], stops - starts[0]
     slow = np.zeros(len(starts), dtype=bool)
     plain = data
-    odd = np.flatnonzero(data > _NINE)
-    if len(odd):  # exponents, nan, inf
-        slow[np.searchsorted(starts, odd, side="right") - 1] = True
+    letters = np.flatnonzero(data > _NINE)
+    if len(letters):  # exponents, nan, inf
+        slow[np.searchsorted(starts, letters, side="right") - 1] = True
         plain = np.where(_inside(starts[slow], stops[slow], len(data)), np.uint8(ord("0")), data)
     quick = _decimals(plain, starts, stops)
     if quick is None:

@@ -14,7 +14,7 @@ _LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\n|\r|$)")
 _COMMENT_MARK = re.compile(rb"\s*(?:#|//|%)")
 _SLASHED = re.compile(rb"//[^\r\n]*")
 _SEPARATORS = (b";", b",", b"\t")  # names may hold blanks where one of these stands between them
-_UNIT = re.compile(r"[\[(].*")
+_UNIT_SUFFIX = re.compile(r"[\[(].*")  # as in ``x [m]``
 _NUMBER = re.compile(rb"[-+]?(?:\.?\d|nan\b|inf)", re.IGNORECASE)
 _EMPTY_FIELD = re.compile(rb"(?:^|[\r\n]|[,;])[ \t]*[,;]")
 _ATOM = re.compile(rb"\s*[A-Z][a-z]?\d{0,3}(?:\s+[-+]?\.?\d\S*){3}")
@@ -94,7 +94,7 @@ def _column_names(line: bytes) -> tuple[str, ...] | None:
     """Names in one spelling, or None where x, y and z are not each named once."""
     separator = next((mark for mark in _SEPARATORS if mark in line), None)
     words = [word.strip(b"\"' \t") for word in line.strip(b" \t,;").split(separator)]
-    plain = [_UNIT.sub("", word.decode("latin-1").lower()).strip() for word in words]
+    plain = [_UNIT_SUFFIX.sub("", word.decode("latin-1").lower()).strip() for word in words]
     names = tuple(_OTHER_NAMES.get(name, name) for name in plain)
     return names if all(names.count(axis) == 1 for axis in "xyz") else None
 

@@ -12,8 +12,8 @@ from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.files.formats.gltf.buffers import GltfBuffers
 from fsh3d_o3d.files.formats.gltf.document import GltfDocument, natural
 
-_COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+_COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}  # by componentType
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}  # numbers in an item
 # Items of an accessor that lies in no buffer and so costs the file nothing: enough for any morph target, and too
 # little to fill memory (240 MB of positions).
 _MOST_IMPLICIT = 10_000_000

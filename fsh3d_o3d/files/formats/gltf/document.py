@@ -9,7 +9,7 @@ from typing import Any, cast
 from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.files.formats.source import Source
 
-_VERSION = 2
+_VERSION = 2  # major; files of glTF 1 are built differently
 _UNDERSTOOD = {
     "EXT_mesh_gpu_instancing",
     "EXT_meshopt_compression",

@@ -19,13 +19,13 @@ from fsh3d_o3d.files.formats.gltf.document import GltfDocument, extension, liste
 from fsh3d_o3d.files.formats.gltf.draco import DRACO, DracoMesh, decode_draco, draco_available
 from fsh3d_o3d.files.formats.gltf.scene import GltfScene, PlacedMesh
 
-# A file may place one mesh many times; this bounds what it can grow to, whatever it announces.
+# Triangles or vertices, 2.4 GB of either; a choice. A file may place one mesh many times: this bounds what it grows to.
 _MAXIMUM_TRIANGLES = 100_000_000
-_POINTS, _TRIANGLES, _STRIP, _FAN = 0, 4, 5, 6
+_POINTS, _TRIANGLES, _STRIP, _FAN = 0, 4, 5, 6  # modes of a primitive, OpenGL's numbers
 Shape = Literal["points", "lines", "triangles"]
 _SHAPES: tuple[Shape, ...] = ("points", "lines", "lines", "lines", "triangles", "triangles", "triangles")  # by mode
 _VECTOR = ("VEC3",)
-_NAMES_BY_WIDTH = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+_TYPE_BY_WIDTH = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}  # numbers in an item
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ class GltfMeshes:
         elif len(flat) < count:
             # Some vertices are not used, perhaps because many primitives share them: not all of them for each.
             rows, flat = np.unique(flat, return_inverse=True)
-        triangles = np.empty((0, 3), dtype=np.int64) if mode == _POINTS else _cut(flat, mode if source.listed else 4)
+        triangles = np.empty((0, 3), dtype=np.int64) if mode == _POINTS else _faces(flat, mode if source.listed else 4)
         weights = placed.weights
         if weights is None:
             weights = _weights(self._document.entry("meshes", placed.mesh))
@@ -211,7 +211,7 @@ class _Attributes:
                 self._arrays[name] = self._accessors.raw(self._named.get(name), kinds)
             else:
                 self._arrays[name] = array = self._draco.attributes[name]
-                if array.ndim != 2 or _NAMES_BY_WIDTH.get(array.shape[1]) not in kinds:
+                if array.ndim != 2 or _TYPE_BY_WIDTH.get(array.shape[1]) not in kinds:
                     raise GeometryReadError(f"damaged: the compressed {name[:20]} is not {' or '.join(kinds)}")
         return self._arrays[name]
 
@@ -242,7 +242,7 @@ def _all_or_none(values: list[Float64Array | None]) -> Float64Array | None:
     return np.concatenate(given) if len(given) == len(values) else None
 
 
-def _cut(flat: IntArray, mode: int) -> IntArray:
+def _faces(flat: IntArray, mode: int) -> IntArray:
     if mode == _TRIANGLES:
         if len(flat) % 3:
             raise GeometryReadError(f"damaged: {len(flat)} indices are not triangles")

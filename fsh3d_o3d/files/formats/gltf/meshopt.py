@@ -21,10 +21,11 @@ from fsh3d_o3d.files.formats.gltf.meshopt_triangles import decode_triangles
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 """Names of the extensions."""
 
+# All as the extension specifies them.
 _GROUP = 16  # items whose deltas are packed together
-_BLOCK_BYTES, _BLOCK_ITEMS = 8192, 256  # largest block of items
+_BLOCK_BYTES, _BLOCK_ITEMS = 8192, 256  # the largest block, by its bytes and by its items
 _VERSIONS = {0xA0: 0, 0xA1: 1}  # first byte of attributes
-_INDICES_HEADER = 0xD1
+_INDICES_HEADER = 0xD1  # first byte of indices
 _INDICES_TAIL = 4  # bytes of zeros
 _SMALLEST_TAIL = {0: 32, 1: 24}  # bytes, by version
 # Bits of a delta by the two bits that a group has in the header: version 0, and the control modes of version 1.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-_HEADER = 0xE1
+_HEADER = 0xE1  # first byte, as the extension specifies
 _TAIL = 16  # bytes: pairs of references that triangles often begin with
 _WRAP = 0xFFFFFFFF  # indices are counted modulo 2³²
 _Fifo = list[int]
@@ -30,7 +30,7 @@ def decode_triangles(data: bytes, count: int) -> NDArray[np.uint32]:
 
 def _decoded(data: bytes, triangles: int) -> NDArray[np.uint32]:
     # The format is a state machine: each triangle depends on those before it. Hence the one loop over triangles.
-    rest = _Rest(data[1 + triangles : -_TAIL])
+    rest = _TrailingBytes(data[1 + triangles : -_TAIL])
     common = data[-_TAIL:]
     edges: list[tuple[int, int] | None] = [None] * 16
     vertices: list[int | None] = [None] * 16
@@ -86,7 +86,7 @@ def _decoded(data: bytes, triangles: int) -> NDArray[np.uint32]:
     return np.array(result, dtype=np.uint32)
 
 
-class _Rest:
+class _TrailingBytes:
     """Bytes behind the codes: what did not fit into them, and the index that was told last."""
 
     def __init__(self, data: bytes) -> None:

@@ -12,8 +12,8 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.files.formats.source import Source
 
-_LARGEST = 1e100  # no length that anyone means; its square is still finite
-_UNIT_TOLERANCE = 1e-3  # of a quaternion's length: rounding to a few digits is no fault
+_LARGEST = 1e100  # in units of the file; no length that anyone means; its square is still finite
+_UNIT_TOLERANCE = 1e-3  # how far a quaternion may be from length 1: rounding to three decimals is no fault
 
 
 def local_transforms(source: Source, nodes: Sequence[dict[str, Any]]) -> Float64Array:

@@ -1,4 +1,4 @@
-"""Lines of an OBJ file that are not statements of the format: foreign ones and damaged ones."""
+"""Keywords of OBJ: which lines are statements, which are those of other programs, and which are damaged."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ def known_keywords(source: Source, lines: TextLines) -> NDArray[np.bytes_]:
     so is a file with more such lines than vertices and faces.
     """
     keywords = lines.keywords()
-    odd = np.flatnonzero(~np.isin(keywords, _KNOWN))
-    if not len(odd):
+    unknown = np.flatnonzero(~np.isin(keywords, _KNOWN))
+    if not len(unknown):
         return keywords
-    lower = np.char.lower(keywords[odd])
+    lower = np.char.lower(keywords[unknown])
     capital = np.isin(lower, _KNOWN)
     if capital.any():
-        keywords[odd[capital]] = lower[capital]
+        keywords[unknown[capital]] = lower[capital]
         source.note(f"{counted(capital.sum(), 'keyword')} in capitals")
-        odd, lower = odd[~capital], lower[~capital]
-    foreign = [line for line, word in zip(odd.tolist(), lower.tolist(), strict=True) if word not in _FOREIGN]
+        unknown, lower = unknown[~capital], lower[~capital]
+    foreign = [line for line, word in zip(unknown.tolist(), lower.tolist(), strict=True) if word not in _FOREIGN]
     geometry = int(np.isin(keywords, [b"v", b"f", b"fo"]).sum())
     for line in foreign:
         reason = _damage(lines.raw(line)) if len(foreign) < geometry else "most lines are none"
         if reason:
             raise GeometryReadError(f"{text_reason(bytes(keywords[line]))} is not a keyword of OBJ: {reason}")
-    if len(odd):
-        words = list(dict.fromkeys(text_reason(bytes(keywords[line])) for line in odd[:1000].tolist()))
+    if len(unknown):
+        words = list(dict.fromkeys(text_reason(bytes(keywords[line])) for line in unknown[:1000].tolist()))
         shown = ", ".join(words[:3]) + (" …" if len(words) > 3 else "")
-        source.note(f"{counted(len(odd), 'line')} passed over whose keywords OBJ does not have: {shown}")
+        source.note(f"{counted(len(unknown), 'line')} passed over whose keywords OBJ does not have: {shown}")
     return keywords
 
 
