@@ -1,4 +1,4 @@
-"""What the sub-commands share: messages in one line, progress, JSON (private)."""
+"""What the sub-commands share: messages in one line, progress, JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The methods of ``fsh3d reconstruct``: their options, and how each makes a shape of a geometry (private)."""
+"""The methods of ``fsh3d reconstruct``: their options, and how each makes a shape of a geometry."""
 
 from __future__ import annotations
 

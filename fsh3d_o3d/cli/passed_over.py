@@ -1,4 +1,4 @@
-"""What of a folder was not looked at, in words (private)."""
+"""What of a folder was not looked at, in words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the command needs of the process that it runs in: standard streams, and an orderly end (private)."""
+"""What the command needs of the process that it runs in: standard streams, and an orderly end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a command writes, checked before any work is done (private)."""
+"""What a command writes, checked before any work is done."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The spherical harmonic descriptor over a conformal map (private; public through ``descriptors``)."""
+"""The spherical harmonic descriptor over a conformal map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options of the spherical harmonic descriptor (private; public through ``descriptors``)."""
+"""Options of the spherical harmonic descriptor."""
 
 from __future__ import annotations
 

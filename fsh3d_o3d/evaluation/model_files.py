@@ -1,4 +1,4 @@
-"""Files of models by their ids, in any folder layout (private)."""
+"""Files of models by their ids, in any folder layout."""
 
 from __future__ import annotations
 

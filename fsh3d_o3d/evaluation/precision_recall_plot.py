@@ -1,4 +1,4 @@
-"""The precision–recall curve as a picture (private)."""
+"""The precision–recall curve as a picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checksums of all that a query returns: storage that flips a bit is found out, not believed (private).
+"""Checksums of all that a query returns: storage that flips a bit is found out, not believed.
 
 A row has one over its columns. Numbers that many rows are compared by have one of their own in ``signature``, so that a
 candidate costs no other column. What is not in rows, and yet decides what is found, has them too: the basis of

@@ -1,4 +1,4 @@
-"""Vectors of an index in one byte a number, and short sketches of them by which to search (private).
+"""Vectors of an index in one byte a number, and short sketches of them by which to search.
 
 A number x is stored as the nearest multiple of a common step to sign(x)·√|x|: small numbers, of which descriptors have
 most, keep more digits than large ones. What that costs in retrieval is measured in ``docs/library.md``.

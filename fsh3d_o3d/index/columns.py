@@ -1,4 +1,4 @@
-"""Columns of Arrow tables, to arrays and back (private)."""
+"""Columns of Arrow tables, to arrays and back."""
 
 from __future__ import annotations
 

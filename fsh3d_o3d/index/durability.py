@@ -1,4 +1,4 @@
-"""What Lance has written, asked onto the disk: it renames files into place, but waits for none of them (private)."""
+"""What Lance has written, asked onto the disk: it renames files into place, but waits for none of them."""
 
 from __future__ import annotations
 

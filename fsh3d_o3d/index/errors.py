@@ -1,4 +1,4 @@
-"""What can be wrong with an index, and what Lance's messages mean (private)."""
+"""What can be wrong with an index, and what Lance's messages mean."""
 
 from __future__ import annotations
 

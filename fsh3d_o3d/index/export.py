@@ -1,4 +1,4 @@
-"""What an index holds, for other programs: features with their paths as NumPy or Parquet (private)."""
+"""What an index holds, for other programs: features with their paths as NumPy or Parquet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From one file to one row of an index, in whatever process or machine this is called (private)."""
+"""From one file to one row of an index, in whatever process or machine this is called."""
 
 from __future__ import annotations
 

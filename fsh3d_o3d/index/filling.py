@@ -1,4 +1,4 @@
-"""Files into an index: what is new is described in worker processes and put in by and by (private)."""
+"""Files into an index: what is new is described in worker processes and put in by and by."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lies in the folder of an index (private)."""
+"""What lies in the folder of an index."""
 
 from __future__ import annotations
 

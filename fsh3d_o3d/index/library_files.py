@@ -1,4 +1,4 @@
-"""The files of a library: a folder and all below it, and nothing outside of it (private).
+"""The files of a library: a folder and all below it, and nothing outside of it.
 
 A folder of a file system, or what begins with one name in object storage, like ``s3://bucket/parts``.
 """

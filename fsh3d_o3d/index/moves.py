@@ -1,4 +1,4 @@
-"""Libraries and files that were moved: found out by what is gone here and the same there (private)."""
+"""Libraries and files that were moved: found out by what is gone here and the same there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pairs of models of an index that are almost the same shape, and which of them are mirror images (private)."""
+"""Pairs of models of an index that are almost the same shape, and which of them are mirror images."""
 
 from __future__ import annotations
 

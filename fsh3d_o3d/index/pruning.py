@@ -1,4 +1,4 @@
-"""Models out of an index: those whose files are gone, and those that are named (private)."""
+"""Models out of an index: those whose files are gone, and those that are named."""
 
 from __future__ import annotations
 

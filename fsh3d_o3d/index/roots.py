@@ -1,4 +1,4 @@
-"""Where the files of an index lie: paths below libraries that can move, and what rows hold of them (private).
+"""Where the files of an index lie: paths below libraries that can move, and what rows hold of them.
 
 A row of a file in a library holds a NUL, eight bytes that stand for the library, and the path below it. Where the
 library lies is in the table ``roots``, once, so that a library that moves costs one row. A row of a file that was given

@@ -1,4 +1,4 @@
-"""Rows of an index: from what was found in a file, and back to numbers that can be compared (private)."""
+"""Rows of an index: from what was found in a file, and back to numbers that can be compared."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tables of an index hold: one row a file, and the directions of its sketches (private).
+"""What the tables of an index hold: one row a file, and the directions of its sketches.
 
 ``path`` is an unenforced primary key of Lance: with it, and only with it, two writers that insert the same path at the
 same moment notice, and one of them tries again.

@@ -1,4 +1,4 @@
-"""Which rows of an index are nearest to a query: all of them compared, or those an inverted file leads to (private)."""
+"""Which rows of an index are nearest to a query: all of them compared, or those an inverted file leads to."""
 
 from __future__ import annotations
 

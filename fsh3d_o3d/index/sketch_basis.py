@@ -1,4 +1,4 @@
-"""Directions in which descriptors of shapes differ most, learned from shapes that are made up (private).
+"""Directions in which descriptors of shapes differ most, learned from shapes that are made up.
 
 A sketch of a descriptor is its projection onto these. A basis learned from a few hundred unions of boxes, cylinders and
 ellipsoids serves real shapes nearly as well as one learned from them (figures in ``docs/library.md``), so that it

@@ -1,4 +1,4 @@
-"""The tables of an index, of Lance: ``models`` and ``failures``, one row a file, and ``basis`` (private).
+"""The tables of an index, of Lance: ``models`` and ``failures``, one row a file, and ``basis``.
 
 Lance writes each change as new files and a manifest that is put in place last, so that an index is at every moment in
 the state before or after a change.

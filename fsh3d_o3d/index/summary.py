@@ -1,4 +1,4 @@
-"""What an index is: how many models of which libraries, and what it takes (private)."""
+"""What an index is: how many models of which libraries, and what it takes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One version of a table of an index: what it holds does not change while it is read (private)."""
+"""One version of a table of an index: what it holds does not change while it is read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tasks of ``worker_pool.run_tasks`` spread over a Ray cluster (private).
+"""The tasks of ``worker_pool.run_tasks`` spread over a Ray cluster.
 
 Ray runs one part of the tasks on each of its processors, and there each part runs in a process of ``worker_pool``: a
 crash, a hang or an allocation without end costs one task, with the same reason, as on one machine. Outcomes stream back

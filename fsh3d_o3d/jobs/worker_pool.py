@@ -1,4 +1,4 @@
-"""Processes that each do one task at a time and may die doing it (private).
+"""Processes that each do one task at a time and may die doing it.
 
 ``concurrent.futures`` gives up all pending work when one process dies, and cannot say which task killed it. Here each
 process has its own pipe and one task in hand: a crash, an out-of-memory kill or an endless loop costs that task.

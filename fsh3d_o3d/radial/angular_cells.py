@@ -1,4 +1,4 @@
-"""Scattered directions sorted into cells of equal area, and the largest cap they leave empty (private).
+"""Scattered directions sorted into cells of equal area, and the largest cap they leave empty.
 
 The cells are HEALPix pixels (Górski et al. 2005): equal in area, similar in shape, and found from a vector without a
 search, so that a million directions are sorted in a few hundredths of a second.
@@ -17,10 +17,10 @@ from scipy.spatial import KDTree
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.sphere import fibonacci_grid
 
-_PROBE_CELLS = 12 * 48**2
-_LOCAL_PROBES = 1024
-_CANDIDATES = 8
-_FAR = 8  # times the reach of the probes
+_PROBES = 12 * 48**2  # directions that are looked from, 1.2 degrees apart; refinement starts at the widest
+_LOCAL_PROBES = 1024  # of each refinement: a twentieth of its reach apart
+_CAPS_REFINED = 8  # a choice: the widest cap as seen on cells need not be the widest; time grows in proportion
+_FAR = 8  # times the reach of the probes; a direction farther away may have very many equally far beside it
 _SECTORS = 2048  # about a centre: what is behind in one is at most 1e-4 radians nearer than what is in front
 
 
@@ -79,16 +79,16 @@ def largest_empty_cap(directions: Float64Array) -> tuple[float, Float64Array]:
     The centre is searched among probes on a fine grid and then, twice, among finer probes around the best ones; the
     radius is that of an empty cap for certain, and within a few thousandths of a radian of the largest.
     """
-    cells = AngularCells.of(directions, min(_PROBE_CELLS, 2 * len(directions)))
+    cells = AngularCells.of(directions, min(_PROBES, 2 * len(directions)))
     first = np.empty(len(cells.count), dtype=np.int64)
     first[cells.index] = np.arange(len(directions))
-    probes = fibonacci_grid(_PROBE_CELLS).directions
+    probes = fibonacci_grid(_PROBES).directions
     distance = np.asarray(KDTree(directions[first]).query(probes)[0])
     # One direction a cell stands for all; those it hides lie within a cell's diameter, hence several candidates.
     best = _separated(probes, distance, 3 / sqrt(cells.total))
-    reach = 2.5 / sqrt(min(cells.total, _PROBE_CELLS)) + 2.5 / sqrt(_PROBE_CELLS)
+    reach = 2.5 / sqrt(min(cells.total, _PROBES)) + 2.5 / sqrt(_PROBES)
     for _ in range(2):
-        local = np.stack([_around(center, reach) for center in best])
+        local = np.stack([_cap_points(center, reach) for center in best])
         distance = np.stack([_nearest(directions, around, reach) for around in local])
         best = local.reshape(-1, 3)[[int(distance.argmax())]]
         reach /= 8
@@ -98,9 +98,9 @@ def largest_empty_cap(directions: Float64Array) -> tuple[float, Float64Array]:
 
 
 def _separated(probes: Float64Array, distance: Float64Array, gap: float) -> Float64Array:
-    """Probes farthest from any direction, no two closer than ``gap``; at most _CANDIDATES."""
+    """Probes farthest from any direction, no two closer than ``gap``; at most _CAPS_REFINED."""
     open_, chosen = distance.copy(), []
-    for _ in range(_CANDIDATES):
+    for _ in range(_CAPS_REFINED):
         top = int(open_.argmax())
         if open_[top] <= 0.5 * distance.max():
             break
@@ -109,17 +109,17 @@ def _separated(probes: Float64Array, distance: Float64Array, gap: float) -> Floa
     return np.array(chosen) if chosen else probes[:1]
 
 
-def _around(center: Float64Array, reach: float) -> Float64Array:
+def _cap_points(center: Float64Array, reach: float) -> Float64Array:
     """A sunflower of unit vectors within ``reach`` of ``center``, itself the first."""
     step = np.arange(_LOCAL_PROBES)
     angle = step * np.pi * (3 - sqrt(5))
     radius = reach * np.sqrt(step / _LOCAL_PROBES)
-    u, v = _beside(center)
-    ways = center + radius[:, None] * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v)
-    return np.asarray(ways / np.linalg.norm(ways, axis=1, keepdims=True))
+    u, v = _tangents(center)
+    points = center + radius[:, None] * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v)
+    return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
 
 
-def _beside(center: Float64Array) -> tuple[Float64Array, Float64Array]:
+def _tangents(center: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Two unit vectors that stand at right angles to ``center`` and to each other."""
     u = np.cross(center, np.eye(3)[int(np.abs(center).argmin())])
     u /= np.linalg.norm(u)
@@ -137,7 +137,7 @@ def _nearest(directions: Float64Array, probes: Float64Array, reach: float) -> Fl
         return np.asarray(KDTree(chosen).query(probes)[0])
     # Very many may be equally far, as those of a flat cloud are from its axis, and a search would look at each of them.
     # Seen from far off, what lies nearest to the centre in a narrow sector is nearer to any probe than the rest.
-    u, v = _beside(center)
+    u, v = _tangents(center)
     sector = ((np.arctan2(chosen @ v, chosen @ u) / (2 * np.pi) + 0.5) * _SECTORS).astype(np.int64) % _SECTORS
     front = np.full(_SECTORS, -1)
     order = np.argsort(along, kind="stable")

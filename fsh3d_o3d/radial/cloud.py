@@ -22,14 +22,14 @@ __all__ = ["CloudFit", "cloud_center", "fit_radial_cloud"]
 
 CloudMethod = Literal["least_squares", "resample"]
 
-_FARTHEST = 1e3  # radii beyond so many medians are outliers, whatever their distance
-_PART = 50_000  # points for a first look
-_NEAREST = 1e-9  # radii below have no direction
+_FARTHEST = 1e3  # medians; radii beyond are outliers, however far, and are cut to it so that squares do not overflow
+_FIRST_LOOK = 50_000  # points, a degree apart on a sphere: far below the holes that are to be found
+_NEAREST = 1e-9  # of the median; of smaller radii float64 keeps less than seven digits of the direction
 
 
 @dataclass(frozen=True, eq=False)
 class CloudFit:
-    """The radial function fitted to a point cloud, and what the fit found on the way."""
+    """The radial function fitted to a point cloud, and what the fit found besides."""
 
     coefficients: Float64Array
     """(b²,) of r(ω), in the units of the points."""
@@ -97,7 +97,7 @@ def fit_radial_cloud(
         check.integer(threads, "threads", minimum=1, maximum=1024)
     directions, radii, unit = _polar(cloud.points, middle)
     # Where a part of the points leaves no hole too large, all of them leave none.
-    if np.degrees(largest_empty_cap(directions[:: 1 + len(directions) // _PART])[0]) > max_hole:
+    if np.degrees(largest_empty_cap(directions[:: 1 + len(directions) // _FIRST_LOOK])[0]) > max_hole:
         _check_coverage(directions, max_hole, "points")
     _check_number(directions, b)
     check.memory(8.0 * 40 * len(radii) + 8.0 * 60 * 24 * b * b, f"the fit of {len(radii)} points at bandwidth {b}")
@@ -105,7 +105,7 @@ def fit_radial_cloud(
         directions, radii, b, smoothness=smoothness, threads=threads
     )
     kept = directions[fit.weights > 0]
-    cap, way = _check_coverage(kept, max_hole, "points but outliers")
+    cap, direction = _check_coverage(kept, max_hole, "points but outliers")
     lowest = float(np.min(evaluate(fit.coefficients, fibonacci_grid(4 * b * b), threads=threads)))
     if not lowest > 0:
         raise GeometryError(
@@ -116,7 +116,7 @@ def fit_radial_cloud(
     if unit >= np.finfo(np.float64).max / (16 * float(np.abs(fit.coefficients).max())):
         raise GeometryError(f"radii of about {unit:.3g} are too large for float64 coefficients; scale the points down")
     coefficients = fit.coefficients * unit
-    for array in (coefficients, middle, way):
+    for array in (coefficients, middle, direction):
         array.setflags(write=False)
     return CloudFit(
         coefficients,
@@ -124,7 +124,7 @@ def fit_radial_cloud(
         fit.scale * unit,
         len(kept) / len(cloud.points),
         cap,
-        way,
+        direction,
         fit.smoothness,
         fit.iterations,
         fit.converged,
@@ -168,15 +168,15 @@ def _check_coverage(directions: Float64Array, max_hole: float, what: str) -> tup
     """Return the largest empty cap in degrees and its centre."""
     if len(directions) == 0:
         raise CoverageError(f"there are no {what}: the whole sphere is empty")
-    radius, way = largest_empty_cap(directions)
+    radius, direction = largest_empty_cap(directions)
     cap = float(np.degrees(radius))
     if cap > max_hole:
         raise CoverageError(
-            f"the cloud covers too little of the sphere: a cap of {cap:.1f} degrees about the direction {_text(way)} "
-            f"has no {what}, and caps up to {max_hole:g} degrees are filled (max_hole); use another center, such as "
-            "cloud_center finds, or raise max_hole"
+            f"the cloud covers too little of the sphere: a cap of {cap:.1f} degrees about the direction "
+            f"{_text(direction)} has no {what}, and caps up to {max_hole:g} degrees are filled (max_hole); use another "
+            "center, such as cloud_center finds, or raise max_hole"
         )
-    return cap, way
+    return cap, direction
 
 
 def _text(vector: Float64Array) -> str:

@@ -1,4 +1,4 @@
-"""A centre for a point cloud: where its radial function should start from (private; public in ``radial_cloud``)."""
+"""A centre for a point cloud: where its radial function should start from."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry import PointArrays, thinned
 from fsh3d_o3d.radial.angular_cells import AngularCells
 from fsh3d_o3d.radial.robust_fit import tukey
-from fsh3d_o3d.radial.scattered_fit import crowding, fit_medians
+from fsh3d_o3d.radial.scattered_fit import fit_medians, voxel_counts
 from fsh3d_o3d.sphere import evaluate, fibonacci_grid
 
-_BANDWIDTH = 8
-_MOST_POINTS = 200_000
-_MOST_ROUNDS = 30
-_VOXELS = 64  # per eight median radii
-_CELLS = 192
+_BANDWIDTH = 8  # of the body that is fitted: enough for its proportions, low enough to bridge holes; a choice
+_MOST_POINTS = 200_000  # that are looked at: the fit takes 25,000 of them, the others tell where points are dense
+_MOST_ROUNDS = 30  # moves of the centre: of 30,000 points it rests after five, of 3,000 it may wander to the end
+_VOXELS = 64  # in eight median radii: an eighth of one each, a choice
+_CELLS = 192  # of 15 degrees, on which radii are compared: a choice between detail and points in each
 
 
 def cloud_center(cloud: PointArrays) -> Float64Array:
@@ -42,16 +42,16 @@ def cloud_center(cloud: PointArrays) -> Float64Array:
     if cloud.normals is not None:
         starts.append(_nearest_to_lines(points, cloud.normals[chosen]))
     center = min(starts, key=lambda start: _unevenness(points - start))
-    crowded = crowding(points)
+    density = voxel_counts(points)
     nodes = fibonacci_grid(6 * (_BANDWIDTH + 2) ** 2)
     for _ in range(_MOST_ROUNDS):
         relative = points - center
         radii = np.linalg.norm(relative, axis=1)
         unit = float(np.median(radii)) or float(radii.max())
         used = radii > 1e-6 * unit
-        ways = relative[used] / radii[used, None]
+        directions = relative[used] / radii[used, None]
         values = np.minimum(radii[used] / unit, 100.0)
-        fitted = evaluate(fit_medians(ways, values, _BANDWIDTH, crowded[used], threads=1), nodes, threads=1)
+        fitted = evaluate(fit_medians(directions, values, _BANDWIDTH, density[used], threads=1), nodes, threads=1)
         fitted = np.clip(fitted, 0.05, float(np.quantile(values, 0.99)))
         # Centroid of the star-shaped body: ∫ r⁴/4 ω dω over ∫ r³/3 dω, equal weights on the Fibonacci grid.
         move = unit * 0.75 * (fitted**4 @ nodes.directions) / (fitted**3).sum()
@@ -116,16 +116,16 @@ def _nearest_to_lines(points: Float64Array, normals: Float64Array) -> Float64Arr
     usable = np.isfinite(length) & (length > 0)
     if usable.sum() < 4:
         return np.zeros(3)
-    ways, places = normals[usable] / length[usable, None], points[usable]
-    weights, center = np.ones(len(ways)), np.zeros(3)
+    lines, places = normals[usable] / length[usable, None], points[usable]
+    weights, center = np.ones(len(lines)), np.zeros(3)
     for _ in range(6):
         # Sum of w (I − n nᵀ)(c − p) = 0.
-        along = np.einsum("ij,ij->i", ways, places)
-        system = weights.sum() * np.eye(3) - (weights[:, None] * ways).T @ ways
-        right = weights @ places - (weights * along) @ ways
-        center = np.linalg.solve(system + 1e-9 * len(ways) * np.eye(3), right)
+        along = np.einsum("ij,ij->i", lines, places)
+        system = weights.sum() * np.eye(3) - (weights[:, None] * lines).T @ lines
+        right = weights @ places - (weights * along) @ lines
+        center = np.linalg.solve(system + 1e-9 * len(lines) * np.eye(3), right)
         relative = center - places
-        off = np.linalg.norm(relative - np.einsum("ij,ij->i", relative, ways)[:, None] * ways, axis=1)
+        off = np.linalg.norm(relative - np.einsum("ij,ij->i", relative, lines)[:, None] * lines, axis=1)
         weights = 1 / (1 + np.square(off / max(1e-6, float(np.median(off)))))
     return np.clip(center, -10, 10)
 

@@ -21,11 +21,12 @@ from fsh3d_o3d.sphere_map import mapping_obstacles
 Behaviour = Literal["error", "outermost", "innermost"]
 
 ACCEPTED_DIRECTIONS = 0.01
-"""Fraction of directions that may meet a surface never, or several times, for it to count as nearly star-shaped."""
+"""Fraction of directions that may meet a surface never, or several times, for it to count as nearly star-shaped:
+small folds pass, such as the ears of a portrait."""
 HIDDEN_AREA = 0.02
-"""Fraction of its area that the centre may then not see."""
-_NEIGHBORS = 8
-_PARITY_RAYS = 512  # to tell whether the centre is inside
+"""Fraction of its area that the centre may then not see: an ear like a hare's takes few directions, but more area."""
+_FILL_NEIGHBORS = 8  # directions whose mean fills one: its ring on the grid, and a few; a choice
+_PARITY_RAYS = 512  # to tell whether the centre is inside, by their majority: a few may graze edges
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +92,7 @@ def sample_radial(
         GeometryError: The mesh has no extent or no area.
         ValueError: Another argument is out of range or misshapen.
     """
-    ways = checked_directions(directions)
+    rays = checked_directions(directions)
     middle = point(center, "center")
     choice(behaviour, "behaviour", ("error", "outermost", "innermost"))
     number(accepted, "accepted", minimum=0, maximum=1)
@@ -103,7 +104,7 @@ def sample_radial(
     vertices = mesh.vertices if used.all() else np.where(used[:, None], mesh.vertices, mesh.vertices[used.argmax()])
     cube = UnitCube.around(vertices, center=middle)
     scene = UnitScene(cube.to_unit(vertices), mesh.triangles)
-    near, far = scene.radii(ways)
+    near, far = scene.radii(rays)
     samples = RadialSamples(
         radii=(near if behaviour == "innermost" else far) * cube.scale,
         hit=~np.isnan(near),
@@ -116,9 +117,9 @@ def sample_radial(
     else:
         refused = samples.missed > fillable
     if refused or not samples.hit.any():
-        raise NotStarShapedError(_explanation(mesh, scene, ways, samples, behaviour, fillable))
+        raise NotStarShapedError(_explanation(mesh, scene, rays, samples, behaviour, fillable))
     if not samples.hit.all():
-        samples.radii[~samples.hit] = _filled(ways, samples.radii / cube.scale, samples.hit) * cube.scale
+        samples.radii[~samples.hit] = _filled(rays, samples.radii / cube.scale, samples.hit) * cube.scale
     for array in (samples.radii, samples.hit, samples.several, samples.center):
         array.setflags(write=False)
     return samples
@@ -130,7 +131,7 @@ def _filled(directions: Float64Array, radii: Float64Array, hit: NDArray[np.bool_
     known = np.flatnonzero(hit)
     nearest = KDTree(directions[known]).query(directions[missing])[1]
     fallback = radii[known[nearest]]
-    count = min(_NEIGHBORS + 1, len(directions))
+    count = min(_FILL_NEIGHBORS + 1, len(directions))
     found: IntArray = KDTree(directions).query(directions[missing], k=count)[1].reshape(len(missing), count)
     weight = (found != missing[:, None]).astype(np.float64)
     weight /= weight.sum(axis=1)[:, None]
@@ -162,14 +163,14 @@ def _explanation(
         f"{_percent(samples.missed)} of directions never meet it, {_percent(samples.multiple)} more than once, "
         f"and {_percent(_visible(mesh, samples.center))} of its area is visible"
     )
-    ways = ['method="shells" (ShellShape), which takes any topology']
+    remedies = ['method="shells" (ShellShape), which takes any topology']
     if _maps_to_the_sphere(mesh):
-        ways.insert(0, 'method="conformal" (ConformalShape), which takes closed surfaces of genus 0')
+        remedies.insert(0, 'method="conformal" (ConformalShape), which takes closed surfaces of genus 0')
     if behaviour == "error" and samples.missed <= fillable:
-        ways.append('behaviour="outermost", which keeps what is seen from outside')
+        remedies.append('behaviour="outermost", which keeps what is seen from outside')
     if outside:
-        ways.insert(0, "another center")
-    return f"{text}; use {', or '.join(ways)}"
+        remedies.insert(0, "another center")
+    return f"{text}; use {', or '.join(remedies)}"
 
 
 def _maps_to_the_sphere(mesh: MeshArrays) -> bool:

@@ -1,4 +1,4 @@
-"""Radial functions resampled to the Fibonacci grid by robust local estimates, then transformed (private)."""
+"""Radial functions resampled to the Fibonacci grid by robust local estimates, then transformed."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from fsh3d_o3d.radial.scattered_fit import (
     SCALE_FLOOR,
     ScatteredFit,
     consensus_weights,
-    crowding,
     fit_medians,
-    judge,
     padded,
+    supported_cells,
+    voxel_counts,
 )
 from fsh3d_o3d.sphere import (
     NufftEngine,
@@ -27,11 +27,11 @@ from fsh3d_o3d.sphere import (
     resolve_threads,
 )
 
-_FEWEST, _MOST = 16, 192  # neighbours of a node
+_FEWEST, _MOST = 16, 192  # neighbours of a node, a choice: more average more noise, fewer follow finer detail
 _REACH = 3.0  # farthest neighbour, in spacings of the nodes
-_MOST_ROUNDS = 8
+_MOST_ROUNDS = 8  # of correction, a bound: clouds with outliers and a hole took three or four
 _ONE_SIDED = 0.5  # distance of neighbours' middle from the node, in root mean square distances
-_STEADY = 0.1
+_CHANGE_TOLERANCE = 0.1  # standard errors of a node's value; a change below it ends the rounds
 
 
 def fit_resampled(
@@ -42,7 +42,7 @@ def fit_resampled(
     smoothness: float | None = None,
     threads: int | None = None,
 ) -> ScatteredFit:
-    """Fit a function of degree < b by way of its values on the Fibonacci grid of 6b² nodes.
+    """Fit a function of degree < b through its values on the Fibonacci grid of 6b² nodes.
 
     A node's value is that of the fit before plus a robust mean of its neighbours' residuals, so that the function's
     slope and curvature within the neighbourhood do not enter; nodes without neighbours that agree are filled by a
@@ -55,7 +55,7 @@ def fit_resampled(
     # Nodes share neighbours: their errors go together, and are that much larger where it matters.
     overlap = float(np.sqrt(max(1.0, found.sum() / len(directions))))
     engine = NufftEngine(grid_from_directions(directions), b)
-    start = fit_medians(directions, radii, b, crowding(directions * radii[:, None]), threads=threads)
+    start = fit_medians(directions, radii, b, voxel_counts(directions * radii[:, None]), threads=threads)
     coefficients = padded(start, b)
     strength, converged, rounds = 0.0, False, 0
     while not converged and rounds < _MOST_ROUNDS:
@@ -69,11 +69,11 @@ def fit_resampled(
         # What is filled settles last and is a guess in any case.
         change = float(np.sqrt(np.mean(np.square(transform.inverse(corrected - coefficients)[known]))))
         coefficients = corrected
-        converged = change <= max(_STEADY * error, SCALE_FLOOR)
+        converged = change <= max(_CHANGE_TOLERANCE * error, SCALE_FLOOR)
     residuals = radii - engine.synthesise(coefficients[None], threads)[0]
     scale = robust_scale(residuals, SCALE_FLOOR)
     cells = AngularCells.of(directions, len(radii) / NEIGHBORHOOD_POINTS)
-    weights = consensus_weights(residuals, scale, cells, judge(residuals, scale, cells))
+    weights = consensus_weights(residuals, scale, cells, supported_cells(residuals, scale, cells))
     return ScatteredFit(coefficients, weights, scale, strength, rounds, converged)
 
 
@@ -111,7 +111,8 @@ def _local_means(values: Float64Array, found: NDArray[np.bool_]) -> tuple[Float6
     scale = robust_scale(centered[inside], SCALE_FLOOR)
     agreeing = (np.abs(centered) <= 3 * scale).sum(axis=1)
     supporting = (np.abs(values[known]) <= 3 * scale).sum(axis=1)
-    # As among scattered points: the fit where well supported, else the median where that is, else the fit at a pinch.
+    # As among scattered points: the fit where well supported, else the median where that is,
+    # else the fit where a third supports it.
     followed = (supporting < 0.7 * count) & (agreeing >= 0.4 * count)
     middle = np.where(followed[:, None], middle, 0.0)
     centered = np.where(inside, values[known] - middle, 0.0)

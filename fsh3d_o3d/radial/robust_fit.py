@@ -1,4 +1,4 @@
-"""Robust least squares for radial functions: scale, weights, prior and solver (private).
+"""Robust least squares for radial functions: scale, weights, prior and solver.
 
 Minimises Σ_j w_j (r_j − Σ_lm c_lm Y_lm(ω_j))² + Σ_lm p_l c_lm², with Tukey's biweight w_j renewed between solves
 (iteratively reweighted least squares; Beaton and Tukey 1974) and p_l = λ(l(l+1))², the bending energy of a thin-plate
@@ -19,11 +19,11 @@ from fsh3d_o3d.sphere import NufftEngine, degrees_and_orders
 TUKEY = 6.5
 """Tukey's constant: residuals beyond so many sigma have no weight; 98.6 % efficient for Gaussian noise."""
 
-_CUT = 2.5  # sigma at which the scale estimate cuts the tails off
-_SMALLEST_PENALTY = 1e-13
-_LARGEST_PENALTY = 1e-2
-_MOST_STEPS = 120
-_POWERS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
+_TAIL_CUT = 2.5  # sigma at which the scale estimate cuts the tails off: 98.8 % of a Gaussian is within
+_SMALLEST_PENALTY = 1e-13  # λ of the bending energy; takes a tenth of degree 1024, where (l(l+1))² is 1e12
+_LARGEST_PENALTY = 1e-2  # the same; takes more than half of degree 3: what is left is a sphere, moved and stretched
+_MOST_STEPS = 120  # of conjugate gradients, a bound: 10 to 16 were taken without a hole in the cloud, 40 with one
+_POWERS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # q of (l(l+1))^q to choose from; 2 is the bending energy
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ def robust_scale(residuals: Float64Array, floor: float) -> float:
     square = np.square(residuals)
     scale = max(floor, 1.4826 * float(np.sqrt(np.median(square))))
     # Variance of a standard normal cut at ±k.
-    cut = _CUT
+    cut = _TAIL_CUT
     kept = 1 - cut * np.sqrt(2 / np.pi) * np.exp(-(cut**2) / 2) / erf(cut / np.sqrt(2))
     # Heavy tails could shrink the core without end: never below half of what the median says.
     least = max(floor, 0.5 * scale)

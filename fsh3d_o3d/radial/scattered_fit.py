@@ -1,4 +1,4 @@
-"""Radial functions fitted straight to scattered directions: coarse to fine, robust, smooth over holes (private)."""
+"""Radial functions fitted straight to scattered directions: coarse to fine, robust, smooth over holes."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ SCALE_FLOOR = 1e-10
 """Least residual scale in units of the median radius: below it, residuals are rounding."""
 
 _CELL_POINTS = 12  # for a median: robust against 20 % outliers, and fine enough to follow the surface
-NEIGHBORHOOD_POINTS = 48
-_DOUBT = 0.7  # support below which a neighbourhood is looked at more closely
-_CONSENSUS = 0.35  # support below which it does not count, unless it agrees otherwise
-_CONSENSUS_OF_FEW = 0.6  # the same where points are sparse
-_SPREAD = 0.1  # largest scatter, in median radii, of what is still a surface
+NEIGHBORHOOD_POINTS = 48  # of a neighbourhood that agrees or not: its median scatters by a fifth of the points' scatter
+_WELL_SUPPORTED = 0.7  # share of points near the fit below which a neighbourhood's own scatter is looked at
+_SUPPORTED = 0.35  # share below which it does not count, unless its points agree with each other
+_SUPPORTED_WHERE_SPARSE = 0.6  # the same where points are sparse
+_LARGEST_SCATTER = 0.1  # largest scatter, in median radii, of what is still a surface
 _SOLVE_CELLS = 24  # times b²; where points are more, cells stand for them in the Hessian
-_GENTLE = 1e-8  # smoothness before it can be chosen: bridges holes, and takes 1 % from degree 32
-_SOLVED = 3e-3  # gradient at which to stop, in standard errors
-_DELIBERATION = 6  # rounds after which verdicts stand, lest they alternate for ever
-_MOST_ROUNDS = 12
-_STEADY = 0.02
+_FIRST_SMOOTHNESS = 1e-8  # λ before it can be chosen: bridges holes, and takes 1 % from degree 32
+_GRADIENT_TOLERANCE = 3e-3  # gradient at which to stop, in standard errors
+_ROUNDS_OF_JUDGING = 6  # rounds after which the support of cells is kept, so that a cell cannot alternate for ever
+_MOST_ROUNDS = 12  # of reweighting, a bound: clouds with outliers and a hole took four or five
+_CHANGE_TOLERANCE = 0.02  # standard errors of the function; a change below it ends the rounds, far below the noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,21 +66,21 @@ def fit_scattered(
         threads: Number of threads, or None for all that the process may use. Does not change the result.
     """
     b = bandwidth
-    start = fit_medians(directions, radii, b, crowding(directions * radii[:, None]), threads=threads)
+    start = fit_medians(directions, radii, b, voxel_counts(directions * radii[:, None]), threads=threads)
     coefficients = padded(start, b)
     grid = grid_from_directions(directions)
     engine = NufftEngine(grid, b)
     neighborhoods = AngularCells.of(directions, len(radii) / NEIGHBORHOOD_POINTS)
     cells = _solve_cells(directions, b)
-    strength = _GENTLE if smoothness is None else smoothness
+    strength = _FIRST_SMOOTHNESS if smoothness is None else smoothness
     penalty, converged, rounds = strength * bending(b), False, 0
-    verdict: Verdict | None = None
+    support: CellSupport | None = None
     for rounds in range(1, _MOST_ROUNDS + 1):
         residuals = radii - engine.synthesise(coefficients[None], threads)[0]
         scale = robust_scale(residuals, SCALE_FLOOR)
-        if verdict is None or rounds <= _DELIBERATION:
-            verdict = judge(residuals, scale, neighborhoods)
-        weights = consensus_weights(residuals, scale, neighborhoods, verdict)
+        if support is None or rounds <= _ROUNDS_OF_JUDGING:
+            support = supported_cells(residuals, scale, neighborhoods)
+        weights = consensus_weights(residuals, scale, neighborhoods, support)
         precision, noise = _precision(residuals, weights, scale, neighborhoods, b)
         variance = 4 * np.pi / precision.sum()  # of a coefficient, where samples are even
         precision = precision * variance
@@ -94,34 +94,34 @@ def fit_scattered(
             gradient,
             _summed(grid, precision, cells, b),
             penalty,
-            tolerance=_SOLVED * np.sqrt(variance) * b,
+            tolerance=_GRADIENT_TOLERANCE * np.sqrt(variance) * b,
             threads=threads,
         )
         change = float(np.linalg.norm(found.coefficients - coefficients)) / np.sqrt(4 * np.pi)
         coefficients = found.coefficients
         error = np.sqrt(variance * b * b / (4 * np.pi))  # standard error of the function
-        if rounds > 2 and change <= max(_STEADY * error, SCALE_FLOOR):
+        if rounds > 2 and change <= max(_CHANGE_TOLERANCE * error, SCALE_FLOOR):
             converged = True
             break
     return ScatteredFit(coefficients, weights, scale, strength, rounds, converged)
 
 
 def fit_medians(
-    directions: Float64Array, radii: Float64Array, bandwidth: int, crowded: Float64Array, *, threads: int | None = None
+    directions: Float64Array, radii: Float64Array, bandwidth: int, density: Float64Array, *, threads: int | None = None
 ) -> Float64Array:
     """Fit the medians of angular cells, from low degrees to high; returns ((b')²,) with b' <= b as the cells allow.
 
     Medians withstand outliers among other points; that a low degree comes first withstands cells full of them. In each
-    cell those points vote that lie where points are ``crowded`` (n,) by the standards of the cell: outliers may be many
+    cell those points vote whose ``density`` (n,) is high by the standards of the cell: outliers may be many
     in the direction of a near face, but they are thin in space.
     """
     total = min(len(radii) / _CELL_POINTS, 16 * bandwidth**2)
     part = slice(None, None, 1 + int(len(radii) / (2 * _CELL_POINTS * total)))  # as many as medians need
-    directions, radii, crowded = directions[part], radii[part], crowded[part]
+    directions, radii, density = directions[part], radii[part], density[part]
     cells = AngularCells.of(directions, total)
-    voting = crowded >= 0.25 * cells.maxima(crowded)[cells.index]
+    voting = density >= 0.25 * cells.maxima(density)[cells.index]
     directions, radii = directions[voting], radii[voting]
-    # Every cell has a vote, its most crowded point's.
+    # Every cell has a vote, its densest point's.
     index = cells.index[voting]
     cells = AngularCells(index, np.bincount(index), cells.total)
     values = cells.medians(radii)
@@ -144,7 +144,7 @@ def fit_medians(
                 coefficients,
                 engine.analyse((weights * residuals)[None], threads)[0],
                 NufftEngine(grid, b, weights),
-                _GENTLE * bending(b),
+                _FIRST_SMOOTHNESS * bending(b),
                 tolerance=0.05 * np.sqrt(variance) * b,
                 threads=threads,
             ).coefficients
@@ -152,41 +152,41 @@ def fit_medians(
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
-    """What the samples of each cell are held against."""
+class CellSupport:
+    """Which cells of samples support the fit, or at least each other."""
 
-    refused: NDArray[np.bool_]
+    rejected: NDArray[np.bool_]
     """(k,) whether the samples of the cell support neither the fit nor each other."""
-    agreed: NDArray[np.bool_]
+    consistent: NDArray[np.bool_]
     """(k,) whether they support the fit poorly, but agree with each other."""
 
 
-def judge(residuals: Float64Array, scale: float, cells: AngularCells) -> Verdict:
-    """Ask in which neighbourhoods the fit is supported by the samples.
+def supported_cells(residuals: Float64Array, scale: float, cells: AngularCells) -> CellSupport:
+    """Find the neighbourhoods where the samples support the fit, or each other.
 
     Where it is not, but they agree with each other, on an edge that the bandwidth is too low to follow, they are right.
     Where they do neither none of them counts: a hole with some outliers in it is a hole.
     """
     # Crowds far from the fit do not outvote the few that support it.
     usual = float(np.median(cells.count[cells.index]))
-    support = cells.sums(np.abs(residuals) <= 3 * scale) / np.minimum(cells.count, usual)
-    doubted = support < _DOUBT
-    agreed = np.zeros_like(doubted)
-    if doubted.any():
-        some, own = _part(cells, doubted)
+    share = cells.sums(np.abs(residuals) <= 3 * scale) / np.minimum(cells.count, usual)
+    unsure = share < _WELL_SUPPORTED
+    consistent = np.zeros_like(unsure)
+    if unsure.any():
+        some, own = _part(cells, unsure)
         _, spread = _location(residuals[some], own)
-        agreed[doubted] = (spread <= max(3 * scale, _SPREAD)) & (own.count >= 0.5 * usual)
+        consistent[unsure] = (spread <= max(3 * scale, _LARGEST_SCATTER)) & (own.count >= 0.5 * usual)
     # A few points where there are many elsewhere may be outliers in a hole, among which some always lie near the fit.
-    needed = np.where(cells.count < 0.5 * usual, _CONSENSUS_OF_FEW, _CONSENSUS)
-    return Verdict(refused=(support < needed) & ~agreed, agreed=agreed)
+    needed = np.where(cells.count < 0.5 * usual, _SUPPORTED_WHERE_SPARSE, _SUPPORTED)
+    return CellSupport(rejected=(share < needed) & ~consistent, consistent=consistent)
 
 
-def consensus_weights(residuals: Float64Array, scale: float, cells: AngularCells, verdict: Verdict) -> Float64Array:
-    """Return (n,) Tukey's weights of samples, about the fit or about the median of their cell as the verdict says."""
+def consensus_weights(residuals: Float64Array, scale: float, cells: AngularCells, support: CellSupport) -> Float64Array:
+    """Return (n,) Tukey's weights of samples, about the fit or about their cell's median where that is supported."""
     weights = tukey(residuals, scale)
-    weights[verdict.refused[cells.index]] = 0
-    if verdict.agreed.any():
-        some, own = _part(cells, verdict.agreed)
+    weights[support.rejected[cells.index]] = 0
+    if support.consistent.any():
+        some, own = _part(cells, support.consistent)
         middle, spread = _location(residuals[some], own)
         local = tukey((residuals[some] - middle[own.index]) / np.maximum(scale, spread)[own.index], 1.0)
         weights[some] = np.maximum(weights[some], local)
@@ -206,7 +206,7 @@ def _part(cells: AngularCells, chosen: NDArray[np.bool_]) -> tuple[IntArray, Ang
     return some, AngularCells(place[cells.index[some]], cells.count[chosen], cells.total)
 
 
-def crowding(points: Float64Array) -> Float64Array:
+def voxel_counts(points: Float64Array) -> Float64Array:
     """Number of points (n,) in the voxel of each of (n, 3) points; 0 for the few far outside.
 
     Voxels are cubes that hold about 16 points of a surface of radius 1, as far as 128³ of them go.

@@ -1,4 +1,4 @@
-"""The kernel of a closed oriented surface: the points on the inner side of every face's plane (private)."""
+"""The kernel of a closed oriented surface: the points on the inner side of every face's plane."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from scipy.optimize import linprog
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.geometry import degenerate
 
-_START = 256  # faces in the first programme
+_START = 256  # faces in the first linear programme, spread over the mesh; a choice
 _ADDED = 256  # violated faces that each round adds
-_ROUNDS = 100
+_ROUNDS = 100  # a bound: by then the programme has 26,000 faces
 _TOLERANCE = 1e-9  # of plane distances in the unit cube; HiGHS itself meets constraints to about this
 _BOX = 1.0  # half the side of a box around the unit cube; some kernels reach to infinity without it
 

@@ -1,4 +1,4 @@
-"""Similarity alignment by closest points from both sides, several poses at once (private).
+"""Similarity alignment by closest points from both sides, several poses at once.
 
 Open3D's ICP adds up its sums in threads, so that its last digits change from run to run, moves one pose at a time, and
 knows no scale where distances are to tangent planes.

@@ -1,4 +1,4 @@
-"""From two surfaces in their own frames to the pose that aligns them, and how far to trust it (private)."""
+"""From two surfaces in their own frames to the pose that aligns them, and how far to trust it."""
 
 from __future__ import annotations
 

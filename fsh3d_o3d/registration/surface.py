@@ -1,4 +1,4 @@
-"""What of a surface two scans, meshings or resolutions of it have in common: its frame and its coefficients (private).
+"""What of a surface two scans, meshings or resolutions of it have in common: its frame and its coefficients.
 
 Area is not the same for all of them: noise crumples triangles, decimation flattens folds, soups have walls twice. So
 the area that counts is that of the surface seen at a resolution, where parts closer than that are one.

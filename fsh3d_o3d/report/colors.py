@@ -1,4 +1,4 @@
-"""Colours: sRGB in and out of linear light, and the ramp for errors (private)."""
+"""Colours: sRGB in and out of linear light, and the ramp for errors."""
 
 from __future__ import annotations
 

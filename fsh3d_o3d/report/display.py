@@ -1,4 +1,4 @@
-"""Geometry small enough for a web page, and arrays as plotly reads them (private)."""
+"""Geometry small enough for a web page, and arrays as plotly reads them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the figures of a report are called, how they are written, and what they mean (private)."""
+"""What the figures of a report are called, how they are written, and what they mean."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""HTML that holds what it was given, and nothing that was given as HTML (private)."""
+"""HTML that holds what it was given, and nothing that was given as HTML."""
 
 from __future__ import annotations
 

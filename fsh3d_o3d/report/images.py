@@ -1,4 +1,4 @@
-"""Finished pictures: into PNG files, and beside each other with captions (private; public in ``thumbnail``)."""
+"""Finished pictures: into PNG files, and beside each other with captions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which surface point each pixel sees (private): rays for meshes, splats in a depth buffer for points."""
+"""Which surface point each pixel sees: rays for meshes, splats in a depth buffer for points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fragments, what is seen in each pixel, and how light falls on them (private)."""
+"""Fragments, what is seen in each pixel, and how light falls on them."""
 
 from __future__ import annotations
 

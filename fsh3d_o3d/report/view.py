@@ -1,4 +1,4 @@
-"""The camera of the thumbnails (private): orthographic, fitted to a bounding sphere.
+"""The camera of the thumbnails: orthographic, fitted to a bounding sphere.
 
 View space has x to the right, y up, z towards the viewer, and the bounding sphere as its unit sphere. Points go there
 in float64, so that what follows may work in float32 whatever the size and place of the geometry.

@@ -1,4 +1,4 @@
-"""Named functions that go with a shape, such as colours: checks, and how they are stored (private)."""
+"""Named functions that go with a shape, such as colours: checks, and how they are stored."""
 
 from __future__ import annotations
 

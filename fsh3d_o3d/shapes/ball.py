@@ -1,4 +1,4 @@
-"""A function in a ball from its harmonics on concentric spheres (private).
+"""A function in a ball from its harmonics on concentric spheres.
 
 Along the radius each coefficient is a cubic spline. A function that is smooth at the centre has f_lm(r) ~ r^l there, so
 that f_lm(−r) = (−1)^l f_lm(r), and f_lm(0) = 0 unless l = 0. Both are built into the spline, which runs through the

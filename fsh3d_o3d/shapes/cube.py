@@ -1,4 +1,4 @@
-"""The cubic grid on which a field in a ball is decoded (private, but for ``ShellVolume``)."""
+"""The cubic grid on which a field in a ball is decoded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Surfaces given by three band-limited functions, position over the sphere: values, normals, volume (private)."""
+"""Surfaces given by three band-limited functions, position over the sphere: values, normals, volume."""
 
 from __future__ import annotations
 

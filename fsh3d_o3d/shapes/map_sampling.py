@@ -1,6 +1,6 @@
 """Functions on a mapped surface become coefficients: exact samples in Fibonacci directions, then the transform.
 
-Private. Finer sampling does not pay. The piecewise linear functions of a distorted map have energy at all degrees, and
+Finer sampling does not pay. The piecewise linear functions of a distorted map have energy at all degrees, and
 some of it is taken for that of degrees below b; but with 24b² or 96b² directions the RMS surface error (spot, Homer and
 Max Planck at b = 17, 33, 65) was 0.993 to 1.003 of that with 6b² over the default maps, and 0.98 to 1.02 over conformal
 ones, where a transform at 2b, 4b or 8b truncated to b did the same. What is lost is the detail beyond b.

@@ -1,4 +1,4 @@
-"""Closed iso-surfaces of fields on a cubic grid (private)."""
+"""Closed iso-surfaces of fields on a cubic grid."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from fsh3d_o3d.geometry import EdgeTable, MeshArrays, components
 
 # Of the field's usual change across a cell. Values closer to zero are moved this far from it, on their side, so that no
 # vertex falls onto a corner of the grid, where triangles would collapse.
-_CLEARANCE = 1e-2
-_ATTEMPTS = 4
+_ZERO_MARGIN = 1e-2
+_ATTEMPTS = 4  # each with four times the margin: after the last the surface would move by more than half a cell
 
 
 def zero_surface(values: Float64Array) -> tuple[MeshArrays, Float64Array]:
@@ -36,14 +36,14 @@ def zero_surface(values: Float64Array) -> tuple[MeshArrays, Float64Array]:
         )
     scale = float(np.median(np.abs(np.diff(values, axis=0)))) or float(np.abs(values).max())
     padded = np.pad(values, 1, constant_values=max(float(values.max()), scale))
-    clearance = _CLEARANCE * scale
+    clearance = _ZERO_MARGIN * scale
     for _ in range(_ATTEMPTS):
         clear = np.where(np.abs(padded) < clearance, np.where(padded < 0, -clearance, clearance), padded)
         vertices, triangles = marching_cubes(clear, 0.0, gradient_direction="descent")[:2]
         mesh = MeshArrays(vertices.astype(np.float64) - 1, triangles)
         if _is_manifold(mesh):
             break
-        # Two sheets that touch in one cell: moved apart by letting the doubtful values belong to the outside.
+        # Two sheets that touch in one cell: moved apart by letting the values near zero belong to the outside.
         clearance *= 4
         padded = np.where(np.abs(padded) < clearance, clearance, padded)
     else:

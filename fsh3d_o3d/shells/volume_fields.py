@@ -33,9 +33,9 @@ FieldName = Literal["signed_distance", "occupancy", "gaussian_distance"]
 
 FIELDS: tuple[FieldName, ...] = ("gaussian_distance", "occupancy", "signed_distance")
 _CHUNK = 2**15  # points at a time, so that their triangles stay in the cache
-_SURE = 0.99
+_SAME_SIDE = 0.99  # of two points' distances together: a shorter step does not meet the surface; 1 % for float32
 _POISSON_DEPTH = 8  # 256 cells across: finer than 64 shells to either side
-_CELLS = 32  # across a cloud, to even out its density
+_CELLS = 32  # in the farthest distance of a cloud, to even out its density; a choice
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ def _inside_paths(solid: Solid, paths: Float64Array, distance: Float64Array) -> 
     new = np.ones(distance.shape, dtype=np.bool_)
     # A step that meets the surface is no shorter than the two distances together. What float32 may have got wrong about
     # them is left aside.
-    new[..., 1:] = step >= _SURE * (distance[..., 1:] + distance[..., :-1])
+    new[..., 1:] = step >= _SAME_SIDE * (distance[..., 1:] + distance[..., :-1])
     run = np.cumsum(new.ravel()) - 1
     flat = distance.ravel()
     # Asked at each run's point farthest from the surface, where rays graze least.

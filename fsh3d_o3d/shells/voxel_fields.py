@@ -1,4 +1,4 @@
-"""Fields of a surface on a voxel grid, looked up at points (private).
+"""Fields of a surface on a voxel grid, looked up at points.
 
 The grid is turned against the axes by a fixed generic rotation: models are drawn along the axes, and flat faces along
 the grid are its worst case.
@@ -16,7 +16,7 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry import Surface, surface_points
 
-_SMALLEST = 1e-300  # what is left of an area that is too far away to be seen
+_SMALLEST = 1e-300  # stands for an area too far away to be seen, just above float64's least: its logarithm is finite
 
 
 def _generic_rotation() -> Float64Array:

@@ -1,4 +1,4 @@
-"""The solid a triangle soup stands for: triangles turned outward, small holes closed, and what is inside (private).
+"""The solid a triangle soup stands for: triangles turned outward, small holes closed, and what is inside.
 
 Three steps, each of which leaves a clean mesh alone. Neighbouring triangles are wound alike, patch by patch; a patch
 is turned so that its front is the side that more rays leave for infinity (Takayama et al. 2014, "A simple method for
@@ -21,11 +21,11 @@ from fsh3d_o3d.geometry import BoolArray, EdgeTable, UnitScene, components
 from fsh3d_o3d.sphere import fibonacci_grid
 
 _FAN_SHARE = 0.25  # of a patch's area: larger openings are the shape's own
-_ORIENTATION_RAYS = 40_000
-_MOST_RAYS = 64  # a triangle
-_LIFT = 1e-4  # of rays from the surface they start on, in the unit cube: some hundred float32 steps
-_CLOSED_VOTES, _OPEN_VOTES = 3, 32
-_CHUNK = 2**17
+_ORIENTATION_RAYS = 40_000  # over all triangles, at least one each; a choice, time grows in proportion
+_MOST_RAYS = 64  # from a triangle, however few there are
+_RAY_OFFSET = 1e-4  # of rays from the surface they start on, in the unit cube: some hundred float32 steps
+_CLOSED_VOTES, _OPEN_VOTES = 3, 32  # rays a point: of closed surfaces a median, of open ones a mean
+_CHUNK = 2**17  # rays at once, so that the lists of their hits stay small; a choice
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Solid:
     triangles: IntArray
     """(t, 3) indices, no corner twice."""
     closed: bool
-    """Every edge runs as often one way as the other: the winding number is a whole number."""
+    """Every edge is run through as often in one direction as in the other: the winding number is a whole number."""
 
 
 def solid_of(vertices: Float64Array, triangles: IntArray) -> Solid:
@@ -123,17 +123,17 @@ def _seen_from_behind(vertices: Float64Array, triangles: IntArray, patch: IntArr
     each = int(np.clip(_ORIENTATION_RAYS // len(triangles), 1, _MOST_RAYS))
     owner = np.repeat(np.arange(len(triangles)), each)
     number = np.arange(len(owner))
-    ways = fibonacci_grid(4096).directions[(number * 1597) % 4096]  # coprime: neighbours look far apart
-    ways *= np.where(np.einsum("ij,ij->i", ways, normals[owner]) < 0, -1.0, 1.0)[:, None]
+    directions = fibonacci_grid(4096).directions[(number * 1597) % 4096]  # coprime: neighbours look far apart
+    directions *= np.where(np.einsum("ij,ij->i", directions, normals[owner]) < 0, -1.0, 1.0)[:, None]
     # Kronecker sequences with the powers of the plastic number, folded into the triangle.
     u, v = np.mod(np.outer((0.7548776662466927, 0.5698402909980532), number + 0.5), 1.0)
     over = u + v > 1
     u, v = np.where(over, 1 - u, u)[:, None], np.where(over, 1 - v, v)[:, None]
     first, second, third = (vertices[triangles[owner, k]] for k in range(3))
     start = first + u * (second - first) + v * (third - first)
-    lift = _LIFT * normals[owner]
-    front = np.isinf(scene.cast(start + lift, ways)[0])
-    back = np.isinf(scene.cast(start - lift, -ways)[0])
+    lift = _RAY_OFFSET * normals[owner]
+    front = np.isinf(scene.cast(start + lift, directions)[0])
+    back = np.isinf(scene.cast(start - lift, -directions)[0])
     balance = np.bincount(patch[owner], weights=area[owner] * (front * 1.0 - back))
     return np.asarray(balance < 0)
 
@@ -172,8 +172,8 @@ def _normals(vertices: Float64Array, triangles: IntArray) -> Float64Array:
 
 def _volumes(vertices: Float64Array, triangles: IntArray, patch: IntArray) -> Float64Array:
     """Signed volume (p,) of each patch, times six."""
-    spat = np.einsum("ij,ij->i", vertices[triangles[:, 0]], _normals(vertices, triangles))
-    return np.asarray(np.bincount(patch, weights=spat), dtype=np.float64)
+    triple_products = np.einsum("ij,ij->i", vertices[triangles[:, 0]], _normals(vertices, triangles))
+    return np.asarray(np.bincount(patch, weights=triple_products), dtype=np.float64)
 
 
 @functools.cache
