@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from fsh3d_o3d.geometry import GeometryKind, MeshArrays
 from fsh3d_o3d.shapes import storage
 from fsh3d_o3d.shapes.attributes import attributes_as_arrays
 from fsh3d_o3d.sphere import filter_coefficients, rotate_coefficients, truncate
+
+if TYPE_CHECKING:
+    from typing import Self  # Python 3.10 does not have it yet
 
 
 @runtime_checkable
