@@ -24,6 +24,8 @@ NAMES = (
     "pyarrow",
     "skimage",
     "DracoPy",
+    "jinja2",
+    "markupsafe",
     "pickle",
     "multiprocessing",
     "ray",
@@ -40,7 +42,7 @@ from tests.jobs.toys import ToyDescriptor
 sys.path[:] = before
 if __name__ == "__main__":
     assert len(read_geometry_arrays("box.off").vertices) == 8
-    for name in ("pyarrow.fs", "lancedb", "skimage.measure", "plotly.offline", "DracoPy"):
+    for name in ("pyarrow.fs", "lancedb", "skimage.measure", "plotly.offline", "jinja2", "DracoPy"):
         import_installed(name)
     assert len(extract_descriptors(["box.off"], ToyDescriptor(), workers=1, cache=False).indices) == 1
     assert sys.path == before

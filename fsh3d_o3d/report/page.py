@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d._validation import Float64Array, real_array
-from fsh3d_o3d._version import __version__
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, geometry_arrays
 from fsh3d_o3d.report.colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, color_stops, css_color, error_colors
 from fsh3d_o3d.report.display import Displayed, common_cube, displayed, geometry_json, packed, shaded_points
-from fsh3d_o3d.report.figures import FigureValue, figure_rows, percent_text
-from fsh3d_o3d.report.html import document, escaped, png_source, table
+from fsh3d_o3d.report.figures import FigureValue, figure_rows
+from fsh3d_o3d.report.html import write_page
 from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail, side_by_side
 from fsh3d_o3d.report.view import DEFAULT_DIRECTION
 
@@ -73,26 +71,22 @@ def write_reconstruction_page(
     top = _scale_end(relative)
     cube, reach = common_cube(first, second)
     shapes = {"original": displayed(first, cube), "reconstruction": displayed(second, cube)}
-    pictures = [encode_png(image) for image in _pictures(first, second, relative, top, background=None, size=_STILL)]
-    tables = [table("Figures", figure_rows(figures))] if figures else []
-    tables += [table("Method and options", figure_rows(options))] if options else []
-    body = "\n".join(
-        [
-            _header(title),
-            "<main>",
-            '<p id="trouble" role="status" hidden></p>',
-            _views(title, shapes, pictures, relative, top),
-            '<section class="columns">',
-            f'<div class="stack">{_cards(tables)}</div>' if tables else "",
-            f'<div class="stack">{_cards([_energy_figure(spectrum), _reading()])}</div>',
-            "</section>",
-            "</main>",
-            f"<footer>Made by fsh3d_o3d {escaped(__version__)}; plots by plotly.js.</footer>",
-        ]
+    tables = {"Figures": figure_rows(figures), "Method and options": figure_rows(options or {})}
+    power = np.cumsum(np.square(spectrum / (spectrum.max() or 1.0)))
+    write_page(
+        path,
+        "reconstruction.html",
+        data=_page_data(first, shapes, relative, top, spectrum, reach),
+        title=title,
+        shapes=shapes,
+        pictures=[encode_png(image) for image in _pictures(first, second, relative, top, background=None, size=_STILL)],
+        ramp=color_stops(),
+        scale_end=top,
+        largest_error=float(relative.max()),
+        tables={caption: rows for caption, rows in tables.items() if rows},
+        degrees=len(spectrum),
+        enough=np.searchsorted(power, (1 - 1e-6) * power[-1]),
     )
-    data = _page_data(first, shapes, relative, top, spectrum, reach)
-    text = document(title, body, data, script="page.js", styles=("page.css",))
-    atomic_write_bytes(path, text.encode("utf-8"))
 
 
 def reconstruction_picture(original: Any, reconstruction: Any, errors: Any, *, size: int = 480) -> NDArray[np.uint8]:
@@ -194,68 +188,3 @@ def _energy_json(energies: Float64Array | Any) -> dict[str, Any]:
     decades = math.log10(positive.max()) - math.log10(positive.min()) if positive.size else 1
     values = [value if value > 0 else None for value in energies.astype(np.float64).tolist()]
     return {"values": values, "dtick": max(1, math.ceil(decades / 6))}
-
-
-def _header(title: str) -> str:
-    return (
-        f"<header><h1>{escaped(title)}</h1>"
-        '<p class="lead">Original and reconstruction from spherical harmonics</p></header>'
-    )
-
-
-def _views(
-    title: str, shapes: Mapping[str, Displayed], pictures: list[bytes], relative: Float64Array, top: float
-) -> str:
-    stops = ", ".join(f"{color} {100 * position:.1f}%" for position, color in color_stops())
-    middle, end = percent_text(top / 2), percent_text(top)
-    scale = (
-        f'<div class="scale"><div class="ramp" role="img" aria-label="Colour scale from 0 to {end}" '
-        f'style="background:linear-gradient(to right, {stops})"></div>'
-        f'<div class="ends"><span>0</span><span>{middle}</span><span>{end}</span></div></div>'
-    )
-    error_note = (
-        f"Distance to the original in percent of its bounding-box diagonal. The scale ends at the 99th percentile of "
-        f"the vertices; the largest is {percent_text(float(relative.max()))}."
-    )
-    views = (
-        ("original", "Original", shapes["original"].note(), ""),
-        ("reconstruction", "Reconstruction", shapes["reconstruction"].note(), ""),
-        ("error", "Error", error_note, scale),
-    )
-    figures = "".join(
-        f'<figure class="card"><h2>{name}</h2><div class="stage">'
-        f'<img src="{png_source(png)}" alt="{name} of {escaped(title)}, still picture">'
-        f'<div class="plot" id="plot-{key}" role="img" aria-label="{name} of {escaped(title)}, interactive"></div>'
-        f"</div>{extra}<figcaption>{note}</figcaption></figure>"
-        for (key, name, note, extra), png in zip(views, pictures, strict=True)
-    )
-    hint = '<p class="hint">Drag to turn, scroll to zoom; the three views move together.</p>'
-    return f'<section class="views" aria-label="Shapes">{figures}</section>{hint}'
-
-
-def _energy_figure(energies: Float64Array | Any) -> str:
-    power = np.cumsum(np.square(energies / (energies.max() or 1.0)))
-    enough = int(np.searchsorted(power, (1 - 1e-6) * power[-1]))
-    note = (
-        "The root of the sum of squared coefficients of each degree, which no rotation changes. Degree 0 is the mean, "
-        f"higher degrees are finer detail. Degrees up to {enough} of {len(energies) - 1} hold all but a millionth of "
-        "the sum of squares."
-    )
-    return (
-        '<h2>Energy of each degree</h2><div id="plot-energies" role="img" '
-        f'aria-label="Energy of each of {len(energies)} degrees on a logarithmic scale"></div>'
-        f"<p><small>{note}</small></p>"
-    )
-
-
-def _reading() -> str:
-    return (
-        "<h2>How to read this</h2><p><small>The reconstruction is the surface that comes back from the coefficients "
-        "alone. Its distance to the original is what the chosen number of degrees could not express, together with "
-        "the resolution of the mesh that is drawn from them. Even, pale colour means the error is spread evenly and "
-        "small; dark spots often lie where detail is finer than the highest degree.</small></p>"
-    )
-
-
-def _cards(contents: list[str]) -> str:
-    return "".join(f'<div class="card">{content}</div>' for content in contents)

@@ -10,16 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d._version import __version__
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files import read_geometry_arrays
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, UnitCube
 from fsh3d_o3d.index import Hit
 from fsh3d_o3d.report.colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, css_color
 from fsh3d_o3d.report.display import Displayed, displayed, geometry_json
-from fsh3d_o3d.report.html import document, escaped, png_source
+from fsh3d_o3d.report.html import write_page
 from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail
 from fsh3d_o3d.report.view import DEFAULT_DIRECTION, positions
 
@@ -28,7 +26,6 @@ __all__ = ["SearchResult", "write_search_page"]
 _SIDE = 220  # pixels of a picture
 _MOST = 8_000  # triangles or points of one shape: a page holds dozens
 _FIELD = math.radians(45)  # of view of plotly's camera
-_QUERY, _HIT = css_color(ORIGINAL_COLOR), css_color(RECONSTRUCTION_COLOR)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +44,7 @@ class SearchResult:
 class _Shape:
     """A hit laid over its query, or only its picture where the file is gone."""
 
+    hit: Hit
     picture: bytes
     note: str
     displayed: Displayed | None
@@ -69,29 +67,23 @@ def write_search_page(path: str | os.PathLike[str], results: Sequence[SearchResu
     """
     if not results:
         raise ValueError("a page needs at least one result")
-    sections, data = [], []
-    for number, result in enumerate(results):
+    shown, data = [], []
+    for result in results:
         cube = UnitCube.around(positions(result.geometry))
         query = displayed(result.geometry, cube, _MOST)
         shapes = [_shape(hit, cube) for hit in result.hits]
-        sections.append(_section(number, result, shapes))
+        shown.append((result.title, _picture(result.geometry, ORIGINAL_COLOR), shapes))
         data.append(_overlays(query, shapes))
-    title = results[0].title if len(results) == 1 else f"{len(results)} queries"
-    body = "\n".join(
-        [
-            f'<header><h1>{escaped(title)}</h1><p class="lead">The most similar shapes of the library</p></header>',
-            '<main><p id="trouble" role="status" hidden></p>',
-            *sections,
-            _viewer(),
-            "</main>",
-            f"<footer>Made by fsh3d_o3d {escaped(__version__)}; plots by plotly.js.</footer>",
-        ]
-    )
     towards = np.array(DEFAULT_DIRECTION) / np.linalg.norm(DEFAULT_DIRECTION)
     eye = 1.05 * math.sqrt(3) / 2 / math.sin(_FIELD / 2) * towards
-    page = {"results": data, "eye": dict(zip("xyz", eye.tolist(), strict=True)), "colors": [_QUERY, _HIT]}
-    text = document(title, body, page, script="search.js", styles=("page.css", "search.css"))
-    atomic_write_bytes(path, text.encode("utf-8"))
+    colors = [css_color(ORIGINAL_COLOR), css_color(RECONSTRUCTION_COLOR)]
+    write_page(
+        path,
+        "search.html",
+        data={"results": data, "eye": dict(zip("xyz", eye.tolist(), strict=True)), "colors": colors},
+        title=results[0].title if len(results) == 1 else f"{len(results)} queries",
+        results=shown,
+    )
 
 
 def moved(geometry: MeshArrays | PointArrays, transformation: Float64Array) -> MeshArrays | PointArrays:
@@ -110,8 +102,8 @@ def _shape(hit: Hit, cube: UnitCube) -> _Shape:
         shape = displayed(aligned, cube, _MOST)
     except (GeometryError, OSError) as error:
         reason = "not there any more" if isinstance(error, FileNotFoundError) else "cannot be read now"
-        return _Shape(hit.thumbnail, f"The file is {reason}: picture as indexed.", None)
-    return _Shape(picture, "" if shape.shown == shape.total else f"In 3D {shape.note()}.", shape)
+        return _Shape(hit, hit.thumbnail, f"The file is {reason}: picture as indexed.", None)
+    return _Shape(hit, picture, "" if shape.shown == shape.total else f"In 3D {shape.note()}.", shape)
 
 
 def _picture(geometry: MeshArrays | PointArrays, color: Any) -> bytes:
@@ -130,48 +122,3 @@ def _overlays(query: Displayed, shapes: Sequence[_Shape]) -> dict[str, Any]:
         for shape in shapes
     ]
     return {"query": geometry_json(query, None), "hits": hits}
-
-
-def _section(number: int, result: SearchResult, shapes: Sequence[_Shape]) -> str:
-    longest = max((hit.distance for hit in result.hits), default=0.0) or 1.0
-    cards = "".join(
-        _card(number, hit, shape, hit.distance / longest) for hit, shape in zip(result.hits, shapes, strict=True)
-    )
-    name = escaped(result.title)
-    query = (
-        f'<figure class="card query"><img src="{png_source(_picture(result.geometry, ORIGINAL_COLOR))}" '
-        f'alt="Query {name}"><figcaption><strong>Query</strong> <span class="name">{name}</span></figcaption></figure>'
-    )
-    found = f'<ol class="hits">{cards}</ol>' if cards else "<p>Nothing found: the index is empty.</p>"
-    return f'<section class="result" aria-label="Results for {name}">{query}{found}</section>'
-
-
-def _card(number: int, hit: Hit, shape: _Shape, share: float) -> str:
-    name = escaped(os.path.basename(hit.path))  # noqa: PTH119 - keeps bytes that are not UTF-8
-    kind = f"{hit.triangles:,} triangles, {'closed' if hit.watertight else 'not closed'}"
-    if not hit.triangles:
-        kind = f"{hit.vertices:,} points"
-    picture = (
-        f'<img src="{png_source(shape.picture)}" alt="{name}, turned as the query lies">'
-        if shape.picture
-        else '<span class="blank">no picture</span>'
-    )
-    action = f'data-result="{number}" data-hit="{hit.rank - 1}"'
-    disabled = "" if shape.displayed is not None else " disabled"
-    return (
-        f'<li class="card"><button type="button" {action} title="Lay over the query"{disabled}>{picture}</button>'
-        f'<div class="bar" role="img" aria-label="Distance {hit.distance:.4f}">'
-        f'<span style="width:{100 * share:.1f}%"></span></div>'
-        f'<p class="figures"><strong>{hit.rank}</strong> distance {hit.distance:.4f}</p>'
-        f'<p class="name" title="{escaped(hit.path)}">{name}</p>'
-        f"<p><small>{kind}. {escaped(shape.note)}</small></p></li>"
-    )
-
-
-def _viewer() -> str:
-    return (
-        '<dialog id="viewer" aria-labelledby="viewer-title"><form method="dialog"><h2 id="viewer-title"></h2>'
-        '<button id="viewer-close" type="submit">Close</button></form><div id="viewer-plot"></div>'
-        f'<p><span class="key" style="background:{_QUERY}"></span> query '
-        f'<span class="key" style="background:{_HIT}"></span> hit, aligned. Drag to turn, scroll to zoom.</p></dialog>'
-    )

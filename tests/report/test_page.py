@@ -2,17 +2,23 @@ import base64
 import hashlib
 import io
 import re
+from pathlib import Path
 
+import jinja2
 import numpy as np
 import pytest
 from PIL import Image
 
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
-from fsh3d_o3d.report.html import data_block
+from fsh3d_o3d.report import html
+from fsh3d_o3d.report.html import write_page as write_template
 from fsh3d_o3d.report.page import reconstruction_picture
-from tests.report.pages import FIGURES, HOSTILE, Page, check_structure, read_page, unpack, write_page
+from tests.report.pages import FIGURES, HOSTILE, check_structure, read_page, unpack, write_page
 from tests.report.shapes import ball, ball_points
+
+COLORS = ["#000000", "#ffffff"]
+TEMPLATES = sorted((Path(html.__file__).parent / "templates").iterdir())
 
 pytestmark = pytest.mark.usefixtures("small_page")
 
@@ -33,13 +39,28 @@ def test_what_is_hidden_in_a_title_is_escaped(tmp_path):
     assert read_page(path).text("h1") == [r"a\x00b\x1bc\x80d\u202ee"]
 
 
-def test_json_cannot_close_its_script():
+def test_json_cannot_close_its_script(tmp_path):
+    path = tmp_path / "page.html"
     value = {"<!--": "</script><script>&amp;\u2028", "list": [1, None, True]}
-    block = data_block("report-data", value)
-    assert Page(block).data == value
-    assert not set("<>&") & set(block.split(">", 1)[1].rsplit("</script>", 1)[0])
+    write_template(path, "search.html", data={"colors": COLORS, "value": value}, title="", results=[])
+    assert read_page(path).data["value"] == value
+    block = path.read_text(encoding="utf-8").split('id="report-data">')[1].split("</script>")[0]
+    assert not set("<>&") & set(block)
     with pytest.raises(ValueError):
-        data_block("x", float("nan"))
+        write_template(path, "search.html", data={"colors": COLORS, "value": float("nan")}, title="", results=[])
+
+
+def test_a_name_that_a_template_lacks_is_an_error(tmp_path):
+    with pytest.raises(jinja2.UndefinedError, match="title"):
+        write_template(tmp_path / "page.html", "search.html", data={"colors": COLORS}, results=[])
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("template", TEMPLATES, ids=lambda path: path.name)
+def test_no_template_turns_escaping_off(template):
+    text = template.read_text(encoding="utf-8")
+    assert not re.search(r"\|\s*safe\b|\bautoescape\b|\bMarkup\b", text)
+    assert not re.search(r"""=\s*\{\{""", text)  # an attribute without quotes
 
 
 def test_policy_lets_exactly_the_page_s_scripts_run(tmp_path):
