@@ -11,7 +11,6 @@ import errno
 import functools
 import os
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,43 +19,18 @@ from fsh3d_o3d._printable import printable
 from fsh3d_o3d._regular_file import open_regular
 from fsh3d_o3d.errors import GeometryError, GeometryReadError
 from fsh3d_o3d.files.formats import (
+    PARSERS,
+    Parser,
     ReadFile,
     Source,
     binary_stl_size,
     check_not_a_pointer,
     has_binary_header,
     parse_glb,
-    parse_gltf,
-    parse_obj,
-    parse_off,
-    parse_pcd,
-    parse_ply,
-    parse_pts,
     parse_stl,
-    parse_xyz,
-    parse_xyzn,
-    parse_xyzrgb,
     plain_text,
 )
 from fsh3d_o3d.files.object_storage import is_uri, object_content
-from fsh3d_o3d.geometry import MeshArrays, PointArrays
-
-Parser = Callable[[Source], MeshArrays | PointArrays]
-
-PARSERS: dict[str, Parser] = {
-    ".off": parse_off,
-    ".obj": parse_obj,
-    ".ply": parse_ply,
-    ".stl": parse_stl,
-    ".glb": parse_glb,
-    ".gltf": parse_gltf,
-    ".xyz": parse_xyz,
-    ".xyzn": parse_xyzn,
-    ".xyzrgb": parse_xyzrgb,
-    ".pts": parse_pts,
-    ".pcd": parse_pcd,
-}
-"""A file's extension, and what turns its content into arrays or raises ``GeometryError`` with the reason."""
 
 _SNIFFED_BYTES = 4096  # in which other formats are recognised; the longest pattern skips 3000
 _LONGEST_REASON = 400  # characters, a choice: five lines of a terminal

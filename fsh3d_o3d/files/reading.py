@@ -15,9 +15,9 @@ from typing import Any
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._printable import printable
 from fsh3d_o3d.errors import GeometryReadWarning
-from fsh3d_o3d.files.formats import ReadFile
+from fsh3d_o3d.files.formats import PARSERS, ReadFile
 from fsh3d_o3d.files.object_storage import absolute
-from fsh3d_o3d.files.parsing import PARSERS, parser_for, read_file
+from fsh3d_o3d.files.parsing import parser_for, read_file
 from fsh3d_o3d.files.reader_process import ReaderProcess
 from fsh3d_o3d.geometry import GEOMETRY_KINDS, GeometryKind, MeshArrays, PointArrays, open3d_mesh, open3d_point_cloud
 

@@ -12,7 +12,8 @@ import trimesh
 
 from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.files import reading
-from fsh3d_o3d.files.parsing import PARSERS, parse_content
+from fsh3d_o3d.files.formats import PARSERS
+from fsh3d_o3d.files.parsing import parse_content
 from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
 from tests.files import mutations
 from tests.files.dialects import NO_READER, Dialect

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from fsh3d_o3d.errors import GeometryReadError
-from fsh3d_o3d.files.parsing import PARSERS, parse_content
+from fsh3d_o3d.files.formats import PARSERS
+from fsh3d_o3d.files.parsing import parse_content
 from fsh3d_o3d.geometry.arrays import MeshArrays
 from tests.files import mutations
 

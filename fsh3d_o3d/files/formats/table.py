@@ -1,0 +1,32 @@
+"""The formats that are read. A new one is an entry here, and a file beside this one that parses it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from fsh3d_o3d.files.formats.gltf import parse_glb, parse_gltf
+from fsh3d_o3d.files.formats.obj import parse_obj
+from fsh3d_o3d.files.formats.off import parse_off
+from fsh3d_o3d.files.formats.pcd import parse_pcd
+from fsh3d_o3d.files.formats.ply import parse_ply
+from fsh3d_o3d.files.formats.points import parse_pts, parse_xyz, parse_xyzn, parse_xyzrgb
+from fsh3d_o3d.files.formats.source import Source
+from fsh3d_o3d.files.formats.stl import parse_stl
+from fsh3d_o3d.geometry import MeshArrays, PointArrays
+
+Parser = Callable[[Source], MeshArrays | PointArrays]
+
+PARSERS: dict[str, Parser] = {
+    ".off": parse_off,
+    ".obj": parse_obj,
+    ".ply": parse_ply,
+    ".stl": parse_stl,
+    ".glb": parse_glb,
+    ".gltf": parse_gltf,
+    ".xyz": parse_xyz,
+    ".xyzn": parse_xyzn,
+    ".xyzrgb": parse_xyzrgb,
+    ".pts": parse_pts,
+    ".pcd": parse_pcd,
+}
+"""A file's extension, and what turns its content into arrays or raises ``GeometryError`` with the reason."""
