@@ -21,10 +21,10 @@ from fsh3d_o3d.sphere.grids import SphericalGrid
 from fsh3d_o3d.sphere.harmonics import MAXIMUM_RECURSION, degrees_and_orders, harmonics_by_degree
 from fsh3d_o3d.sphere.threads import resolve_threads, run_all, single_threaded_blas
 
-# Functions and columns per matrix product. Fixed, so that workspaces stay small and results do not depend on threads.
-_CHUNK = 64
-_COLUMNS = 1024
-_WORTH_THREADS = 1e-3  # seconds of work
+# Sizes of a matrix product: a choice, but fixed, so that workspaces stay small and results do not depend on threads.
+_CHUNK = 64  # functions
+_COLUMNS = 1024  # harmonics, or points
+_THREADED_SECONDS = 1e-3  # of work, a choice: starting threads takes some hundredths of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +102,9 @@ class DenseEngine:
     def _run(self, jobs: Sequence[Callable[[], Any]], functions: int, dtype: np.dtype[Any], threads: int) -> None:
         """Run the products of one chunk, side by side where that is worth starting threads."""
         elements = self.bandwidth**2 * (self._half if self._symmetric else len(self.grid))
+        # One core is taken to do 4e10 operations a second and to read 1e10 bytes.
         seconds = max(2 * functions * elements / 4e10, elements * dtype.itemsize / 1e10)
-        run_all(jobs, threads if seconds > _WORTH_THREADS else 1)
+        run_all(jobs, threads if seconds > _THREADED_SECONDS else 1)
 
     def _fold(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Even and odd parts on the first half of the points; an odd grid's middle point is its own mirror image."""

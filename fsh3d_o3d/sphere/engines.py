@@ -16,8 +16,8 @@ from fsh3d_o3d.sphere.nufft_engine import NufftEngine
 
 EngineName = Literal["auto", "dense", "nufft"]
 
-_SMALLEST_DENSE_BATCH = {24: 1, 32: 8, 40: 24}  # up to this bandwidth, from this batch on
-_DENSE_BYTES = 2**29
+_SMALLEST_DENSE_BATCH = {24: 1, 32: 8, 40: 24}  # functions, by the bandwidth up to which so many suffice; measured
+_DENSE_BYTES = 2**29  # of one matrix, a choice; the fast transform needs none
 
 
 class Engine(Protocol):

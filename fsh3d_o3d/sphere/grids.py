@@ -28,7 +28,7 @@ __all__ = [
     "icosahedral_grid",
 ]
 
-_MAXIMUM_POINTS = 10**8
+_MAXIMUM_POINTS = 10**8  # a choice: 4 GB of directions and angles
 
 
 @dataclass(frozen=True, eq=False)

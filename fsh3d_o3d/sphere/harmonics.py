@@ -21,7 +21,7 @@ __all__ = ["degrees_and_orders", "spherical_harmonics"]
 
 MAXIMUM_RECURSION = 1900
 """Bandwidth up to which the recursion holds: beyond, (sin θ)^m underflows where the harmonic does not."""
-_CHUNK = 512  # points at a time, so that the recursion stays in the processor's cache
+_CHUNK = 512  # points at a time, a choice, so that the recursion stays in the processor's cache
 
 
 def spherical_harmonics(directions: object, bandwidth: int) -> Float64Array:

@@ -21,11 +21,11 @@ from fsh3d_o3d.sphere.conventions import packed_layout
 from fsh3d_o3d.sphere.grids import SphericalGrid
 from fsh3d_o3d.sphere.threads import resolve_threads, run_all
 
-_TOLERANCE = {np.dtype(np.float64).str: 3e-13, np.dtype(np.float32).str: 2e-6}
+_TOLERANCE = {np.dtype(np.float64).str: 3e-13, np.dtype(np.float32).str: 2e-6}  # asked of ducc0, relative
 # A single function on fewer points, or on fewer for its bandwidth, is not split: each block repeats the part of the
-# work that does not depend on the points.
+# work that does not depend on the points. Both are choices.
 _SPLIT_POINTS = 2**17
-_SPLIT_RATIO = 2
+_SPLIT_RATIO = 2  # points over b²
 
 
 class NufftEngine:

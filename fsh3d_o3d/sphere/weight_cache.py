@@ -28,8 +28,8 @@ from fsh3d_o3d.sphere.weight_solution import WeightSolution
 __all__ = ["clear_weight_cache", "weight_cache_directory"]
 
 _FORMAT = 2  # raised when the solver changes what it returns
-_MEMORY_BYTES = 256 * 2**20
-_ABOUT_BYTES = 2**16  # at most, for what a file says beside the weights
+_MEMORY_BYTES = 256 * 2**20  # of weights, a choice: some 300 solutions of b = 128
+_ABOUT_BYTES = 2**16  # for the JSON beside the weights, which has some hundred; a choice
 _log = logging.getLogger("fsh3d_o3d")
 _lock = threading.Lock()
 _memory: OrderedDict[str, WeightSolution] = OrderedDict()

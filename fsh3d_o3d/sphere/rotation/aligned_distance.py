@@ -44,7 +44,7 @@ def aligned_distance(first: object, second: object, *, bandwidth: int = 8, refle
     sizes = [float(np.linalg.norm(values)) for values in varying]
     distance = float(((means[0] - means[1]) ** 2).sum() + ((rest[0] - rest[1]) ** 2).sum())
     inner = 0.0
-    if _turnable(sizes[0], means[0]) and _turnable(sizes[1], means[1]):
+    if _depends_on_direction(sizes[0], means[0]) and _depends_on_direction(sizes[1], means[1]):
         found = estimate_rotation(rows[1][:, : kept**2], rows[0][:, : kept**2], bandwidth=kept, reflections=reflections)
         inner = found.correlation * sizes[0] * sizes[1]
     distance += sizes[0] ** 2 + sizes[1] ** 2 - 2 * inner
@@ -56,6 +56,6 @@ def _parts(rows: Float64Array, kept: int) -> tuple[Float64Array, Float64Array, F
     return rows[:, 0], rows[:, 1 : kept**2], np.asarray(degree_energies(rows)[:, kept:], dtype=np.float64)
 
 
-def _turnable(size: float, means: Float64Array) -> bool:
+def _depends_on_direction(size: float, means: Float64Array) -> bool:
     """Whether anything but rounding depends on direction."""
     return size > 1e-7 * float(np.hypot(size, np.linalg.norm(means)))

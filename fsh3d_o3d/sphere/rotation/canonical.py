@@ -17,10 +17,10 @@ from fsh3d_o3d.sphere.rotation.symmetry import SymmetryReport, find_symmetries
 
 __all__ = ["CanonicalPose", "canonical_pose"]
 
-_DEGREES = 8  # of the template: low degrees are sampled most exactly
-_PROFILES = 4  # functions of the shell in the template
-_FLOOR = 0.1  # of the norm; degrees with less than about this much count for less
-_MAXIMA = 12  # to look at; twice as many are followed
+_DEGREES = 8  # of the template, a choice: low degrees are sampled most exactly
+_PROFILES = 4  # functions of the shell in the template, a choice; with more of them neighbouring shells differ more
+_NORM_FLOOR = 0.1  # of the norm, a choice: degrees with less than about this much count for less
+_MAXIMA = 12  # of the correlation to compare, a choice; twice as many are followed
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ def _balanced(rows: Float64Array, b: int) -> Float64Array:
     rows = rows / scale
     norms = np.linalg.norm(degree_energies(rows), axis=0)
     norms[0] = 0.0
-    gain = 1 / np.maximum(norms + _FLOOR * np.linalg.norm(norms), np.finfo(float).tiny)
+    gain = 1 / np.maximum(norms + _NORM_FLOOR * np.linalg.norm(norms), np.finfo(float).tiny)
     gain[0] = 1.0 if norms.any() else 0.0
     return np.asarray(rows * gain[degrees_and_orders(b)[0]])
 

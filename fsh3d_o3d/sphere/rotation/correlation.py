@@ -15,9 +15,9 @@ from fsh3d_o3d._validation import Float64Array, FloatArray, IntArray
 from fsh3d_o3d.sphere.rotation.derivatives import Derivatives
 from fsh3d_o3d.sphere.rotation.wigner import wigner_table
 
-_STEP = 0.25  # radians; the longest step uphill
-_STILL = 1e-6  # radians; the step after this one is its square
-_ROUNDING = 1e-14  # of a correlation; the last steps change less
+_LONGEST_STEP = 0.25  # radians, a choice: about the spacing of the grid of b = 8
+_CONVERGED = 1e-6  # radians: the step after this one is about its square, which is rounding
+_ROUNDING = 1e-14  # of a correlation: some fifty roundings of float64; the last steps change less
 _CROSS = np.array(
     [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], dtype=np.float64
 )
@@ -103,37 +103,39 @@ class Correlator:
         weights = self._derivatives.weights(products)
         shared = len(products) == 1
         current = rotations.copy()
-        value, gradient, hessian = self._local(weights, rotations)
-        limit = np.full(len(rotations), _STEP)
+        value, gradient, hessian = self._expansion(weights, rotations)
+        limit = np.full(len(rotations), _LONGEST_STEP)
         climbing = np.arange(len(rotations))
         for _ in range(steps):
-            step = _uphill(gradient[climbing], hessian[climbing], limit[climbing])
+            step = _newton_step(gradient[climbing], hessian[climbing], limit[climbing])
             length = _lengths(step)
             trial = exponential(step) @ current[climbing]
             every = shared or len(climbing) == len(rotations)
-            found = self._local(weights if every else weights[climbing], trial)
+            found = self._expansion(weights if every else weights[climbing], trial)
             better = found[0] >= value[climbing] - _ROUNDING * np.abs(value[climbing])
-            limit[climbing] = np.where(better, np.minimum(_STEP, 2 * limit[climbing]), length / 2)
+            limit[climbing] = np.where(better, np.minimum(_LONGEST_STEP, 2 * limit[climbing]), length / 2)
             up = climbing[better]
             current[up] = trial[better]
             value[up], gradient[up], hessian[up] = (part[better] for part in found)
-            climbing = climbing[length > _STILL]
+            climbing = climbing[length > _CONVERGED]
             if not len(climbing):
                 break
         return current, value, hessian
 
     def values(self, products: Float64Array, rotations: Float64Array) -> Float64Array:
         """C at rotations (k, 3, 3), all for the same products (1, …): (k,)."""
-        return self._local(self._derivatives.weights(products), rotations)[0]
+        return self._expansion(self._derivatives.weights(products), rotations)[0]
 
-    def _local(self, weights: Float64Array, rotations: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+    def _expansion(
+        self, weights: Float64Array, rotations: Float64Array
+    ) -> tuple[Float64Array, Float64Array, Float64Array]:
         """C, its gradient and its Hessian at rotations, along exp(ω) R."""
         matrices = self._table(rotations).view(np.float64)
         terms = matrices @ weights[0].T if len(weights) == 1 else (weights @ matrices[..., None])[..., 0]
         return terms[:, 0], terms[:, 1:4], terms[:, [4, 7, 8, 7, 5, 9, 8, 9, 6]].reshape(-1, 3, 3)
 
 
-def _uphill(gradient: Float64Array, hessian: Float64Array, limit: Float64Array) -> Float64Array:
+def _newton_step(gradient: Float64Array, hessian: Float64Array, limit: Float64Array) -> Float64Array:
     curvature, axes = np.linalg.eigh(hessian)
     size = np.abs(curvature)
     size = np.maximum(size, 1e-6 * size.max(axis=1, keepdims=True) + np.finfo(float).tiny)
@@ -157,10 +159,10 @@ def exponential(vectors: Float64Array) -> Float64Array:
 def _zyz(alpha: Float64Array, beta: Float64Array, gamma: Float64Array) -> Float64Array:
     """R_z(α) R_y(β) R_z(γ) for all combinations, α fastest and β slowest, (k, 3, 3)."""
     beta, gamma, alpha = (grid.ravel() for grid in np.meshgrid(beta, gamma, alpha, indexing="ij"))
-    return _about(2, alpha) @ _about(1, beta) @ _about(2, gamma)
+    return _about_axis(2, alpha) @ _about_axis(1, beta) @ _about_axis(2, gamma)
 
 
-def _about(axis: int, angles: Float64Array) -> Float64Array:
+def _about_axis(axis: int, angles: Float64Array) -> Float64Array:
     return exponential(angles[:, None] * np.eye(3)[axis])
 
 

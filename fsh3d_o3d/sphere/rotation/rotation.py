@@ -14,7 +14,7 @@ from fsh3d_o3d.sphere.threads import resolve_threads, run_all
 
 __all__ = ["reflect_coefficients", "rotate_coefficients"]
 
-_ROWS = 16  # functions a job; fixed, so that results do not depend on the number of threads
+_ROWS = 16  # functions a job, a choice; fixed, so that results do not depend on the number of threads
 
 
 def rotate_coefficients(coefficients: object, rotation: object, *, threads: int | None = None) -> FloatArray:

@@ -15,15 +15,15 @@ from fsh3d_o3d.sphere.threads import resolve_threads, run_all, single_threaded_b
 
 __all__ = ["RotationEstimate", "estimate_rotation", "estimate_rotations"]
 
-_FINE = 32  # degrees < this settle an angle far below what sampling leaves of it
-_COARSE = (8, 12, 16, 24, 32)  # degrees of the first search: the first bandwidth with enough of the functions in it
-_ENOUGH = 0.05  # of the energy
-_STARTS = 12  # local maxima of the first search that are followed, at least; twice as many as are asked for
-_MOST = 60  # maxima to ask for: the icosahedron's
-_STEPS = 20  # uphill, at most; four are usual
-_DISTINCT = np.radians(5.0)  # maxima closer than this are one
-_CONSTANT = 1e-8  # of the norm; below it, nothing but rounding depends on direction
-_BLOCK = 24  # candidates a job; fixed, so that results do not depend on the number of threads
+_FINE_BANDWIDTH = 32  # degrees below it settle an angle far below what sampling leaves of it
+_COARSE_BANDWIDTHS = (8, 12, 16, 24, 32)  # of the first search: the first with enough of the functions in it
+_ENERGY_SHARE = 0.05  # that is enough, a choice
+_STARTS = 12  # local maxima of the first search to follow, at least: a choice; else twice as many as are asked for
+_MOST_MAXIMA = 60  # as many as the icosahedron has rotations
+_STEPS = 20  # of Newton, at most; four are usual
+_DISTINCT = np.radians(5.0)  # radians, a choice: maxima closer than this are one
+_CONSTANT = 1e-8  # of the norm, eight digits above rounding: below it, nothing but rounding depends on direction
+_BLOCK = 24  # candidates a job, a choice; fixed, so that results do not depend on the number of threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ def estimate_rotation(
         >>> print(f"{estimate.correlation:.3f}, ahead by {estimate.margin:.1f}")
         1.000, ahead by 0.4
     """
-    kept = check.integer(maxima, "maxima", minimum=1, maximum=_MOST)
+    kept = check.integer(maxima, "maxima", minimum=1, maximum=_MOST_MAXIMA)
     left, right, b = _pair(source, target, bandwidth)
     left, right = _varying(left, "source"), _varying(right, "target")
     with single_threaded_blas():
@@ -154,7 +154,7 @@ def _pair(source: object, target: object, bandwidth: int | None) -> tuple[Float6
             "take the same number of shells"
         )
     b = min(first, second)
-    b = min(b, _FINE) if bandwidth is None else min(b, check.bandwidth(bandwidth))
+    b = min(b, _FINE_BANDWIDTH) if bandwidth is None else min(b, check.bandwidth(bandwidth))
     check.memory(1000.0 * b**3, "the correlation of all degrees")
     rows = [values[..., : b * b].reshape(-1, b * b).astype(np.float64) for values in (left, right)]
     return rows[0], rows[1], b
@@ -197,7 +197,10 @@ def local_maxima(
 def _first_bandwidth(source: Float64Array, target: Float64Array, b: int) -> int:
     """The smallest bandwidth of the grid that holds enough of both functions."""
     share = np.minimum(*(np.cumsum(np.sum(degree_energies(rows) ** 2, axis=0)) for rows in (source, target)))
-    return next((first for first in _COARSE if first < b and share[first - 1] >= _ENOUGH), min(b, _COARSE[-1]))
+    return next(
+        (first for first in _COARSE_BANDWIDTHS if first < b and share[first - 1] >= _ENERGY_SHARE),
+        min(b, _COARSE_BANDWIDTHS[-1]),
+    )
 
 
 def _distinct(rotations: Float64Array, values: Float64Array, count: int) -> list[int]:

@@ -17,17 +17,17 @@ from fsh3d_o3d.sphere.threads import single_threaded_blas
 
 __all__ = ["SymmetryAxis", "SymmetryPlane", "SymmetryReport", "find_symmetries"]
 
-_FINE = 32  # degrees < this
+_FINE_BANDWIDTH = 32  # degrees below it take part unless asked otherwise, as in the search for rotations
 _MAXIMA = 60  # as many as the icosahedron has rotations
-_IDENTITY = np.radians(8.0)  # a maximum of the correlation with itself this near to no rotation is none
-_SAME = np.radians(4.0)  # axes nearer than this are one
-_CLOSE_BY = np.radians(2.0)  # where axes and planes are compared with others: half of what makes two of them one
-_NEIGHBOURS = 8  # that they are compared with
-_BETTER = 0.02  # of what a score misses of 1: what is close by is better by more, or the two are one but for sampling
+_NEAR_IDENTITY = np.radians(8.0)  # radians, a choice: a maximum of the correlation with itself this near is none
+_SAME_AXIS = np.radians(4.0)  # radians, a choice: axes nearer than this are one
+_PROBE_ANGLE = np.radians(2.0)  # radians, from an axis to those it is compared with: half of what makes two one
+_NEIGHBOURS = 8  # that an axis or a plane is compared with, evenly around it; a choice
+_PEAK_TOLERANCE = 0.02  # of what a score misses of 1, a choice: a neighbour better by less is so by sampling
 _ROUNDING = 1e-9  # of scores that are all 1, as across an axis of revolution
-_MOST_AXES = 160  # to look at
-_ANGLES = 720  # of an axis of revolution
-_ROUND = 0.005  # of the norm of a sphere depends on direction, at most
+_MOST_AXES = 160  # candidates, a choice: the cube has 13 axes, the icosahedron 31
+_REVOLUTION_STEPS = 720  # rotations that stand for all about an axis, half a degree apart; a choice
+_SPHERICAL = 0.005  # of the norm, a choice: where less depends on direction, the shape is a sphere
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ def find_symmetries(coefficients: object, *, threshold: float = 0.98, bandwidth:
     """
     values, b = check.coefficients(coefficients)
     limit = check.number(threshold, "threshold", minimum=0.0, maximum=1.0)
-    b = min(b, _FINE) if bandwidth is None else min(b, check.bandwidth(bandwidth))
+    b = min(b, _FINE_BANDWIDTH) if bandwidth is None else min(b, check.bandwidth(bandwidth))
     rows = np.asarray(truncate(values, b), dtype=np.float64).reshape(-1, b * b)
     scale = np.abs(rows).max(initial=0.0)
     if scale == 0:
@@ -121,23 +121,23 @@ def find_symmetries(coefficients: object, *, threshold: float = 0.98, bandwidth:
     total = float(np.linalg.norm(rows))
     rows[:, 0] = 0.0
     varying = float(np.linalg.norm(rows))
-    if varying <= _ROUND * total:
+    if varying <= _SPHERICAL * total:
         return SymmetryReport((), (), True, 1.0, 1.0, 1.0, limit)
     rows = rows / varying
     with single_threaded_blas():
         turns, scores, _ = local_maxima(rows, rows, b, _MAXIMA)
         mirrored, mirror_scores, _ = local_maxima(rows * parity(b), rows, b, _MAXIMA)
-        away = _angles(turns) > _IDENTITY
+        away = _angles(turns) > _NEAR_IDENTITY
         search = correlator(b, 1)
         tensor = search.ascend(search.products(rows[None], rows), np.eye(3)[None], 0)[2][0]
     # About an axis of revolution the correlation stays what it is at no rotation.
     curvature_axes = np.linalg.eigh(tensor)[1].T[::-1]
-    main = next((axis for axis in curvature_axes if _about(rows, b, axis, limit)[0] == 0), None)
+    main = next((axis for axis in curvature_axes if _axis_symmetry(rows, b, axis, limit)[0] == 0), None)
     if main is None:
         near = turns[away & (scores >= limit)], mirrored[mirror_scores >= limit]
-        axes, planes = _close(rows, b, np.concatenate((_axes(near[0]), _axes(near[1]), curvature_axes)), limit)
+        axes, planes = _closure(rows, b, np.concatenate((_axes(near[0]), _axes(near[1]), curvature_axes)), limit)
     else:
-        axes, planes = _close(rows, b, np.stack((main, _across(main))), limit)
+        axes, planes = _closure(rows, b, np.stack((main, _perpendicular(main))), limit)
     point = float(np.sum(parity(b) * rows**2))
     return SymmetryReport(
         tuple(sorted(axes, key=lambda axis: (axis.order != 0, -axis.order, -axis.score))),
@@ -150,7 +150,7 @@ def find_symmetries(coefficients: object, *, threshold: float = 0.98, bandwidth:
     )
 
 
-def _close(
+def _closure(
     rows: Float64Array, b: int, seeds: Float64Array, limit: float
 ) -> tuple[list[SymmetryAxis], list[SymmetryPlane]]:
     """Axes and planes among candidates and among what the symmetries found make of each other."""
@@ -161,10 +161,10 @@ def _close(
     tried = 0
     while queue and tried < _MOST_AXES:
         direction = queue.pop(0)
-        if len(seen) and np.abs(seen @ direction).max() > np.cos(_SAME):
+        if len(seen) and np.abs(seen @ direction).max() > np.cos(_SAME_AXIS):
             continue
         tried += 1
-        order, score, mirror = _about(rows, b, direction, limit)
+        order, score, mirror = _axis_symmetry(rows, b, direction, limit)
         if order > 1 and not _is_peak(rows, b, direction, score, order):
             order = 1
         if mirror >= limit and not _is_peak(rows, b, direction, mirror, None):
@@ -189,21 +189,21 @@ def _close(
     return axes, planes
 
 
-def _about(rows: Float64Array, b: int, direction: Float64Array, limit: float) -> tuple[int, float, float]:
+def _axis_symmetry(rows: Float64Array, b: int, direction: Float64Array, limit: float) -> tuple[int, float, float]:
     """The order of an axis (1 if there is no symmetry) with its score, and the score of the plane across."""
-    by_order, mirror = _seen_along(rows, b, direction)
-    every = _turned(by_order, _ANGLES)
+    by_order, mirror = _energy_by_order(rows, b, direction)
+    every = _worst_correlation(by_order, _REVOLUTION_STEPS)
     if every >= limit:
         return 0, min(every, 1.0), min(mirror, 1.0)
     for n in range(b - 1, 1, -1):
-        score = _turned(by_order, n)
+        score = _worst_correlation(by_order, n)
         # Other rotations about a nearly round axis pass too; those of its order do much better than the worst.
         if score >= limit and 1 - score <= (1 - every) / 2:
             return n, min(score, 1.0), min(mirror, 1.0)
     return 1, -1.0, min(mirror, 1.0)
 
 
-def _seen_along(rows: Float64Array, b: int, direction: Float64Array) -> tuple[Float64Array, float]:
+def _energy_by_order(rows: Float64Array, b: int, direction: Float64Array) -> tuple[Float64Array, float]:
     """The energy (b,) of each |order| once an axis is turned to z, and the score of the plane across it."""
     degree, order = degrees_and_orders(b)
     energy = np.sum(rotate_coefficients(rows, _to_z(direction), threads=1) ** 2, axis=0)
@@ -211,7 +211,7 @@ def _seen_along(rows: Float64Array, b: int, direction: Float64Array) -> tuple[Fl
     return np.bincount(np.abs(order), energy, b).astype(np.float64), mirror
 
 
-def _turned(by_order: Float64Array, n: int) -> float:
+def _worst_correlation(by_order: Float64Array, n: int) -> float:
     """The smallest correlation over rotations about z by multiples of 360°/n."""
     # A rotation by an angle multiplies what order m correlates with itself by cos(m · angle).
     return float((np.cos(2 * np.pi / n * np.outer(np.arange(1, n), np.arange(len(by_order)))) @ by_order).min())
@@ -222,16 +222,16 @@ def _is_peak(rows: Float64Array, b: int, direction: Float64Array, score: float, 
 
     Of a body that is nearly round about an axis every axis and plane is nearly one of symmetry; only the best ones are.
     """
-    first = _across(direction)
+    first = _perpendicular(direction)
     angles = np.linspace(0, 2 * np.pi, _NEIGHBOURS, endpoint=False)[:, None]
     tangents = np.cos(angles) * first + np.sin(angles) * np.cross(direction, first)
-    around = np.cos(_CLOSE_BY) * direction + np.sin(_CLOSE_BY) * tangents
-    found = [_seen_along(rows, b, other) for other in around]  # eight
-    best = max(mirror if order is None else _turned(by_order, order) for by_order, mirror in found)
-    return best <= score + _BETTER * (1 - score) + _ROUNDING
+    around = np.cos(_PROBE_ANGLE) * direction + np.sin(_PROBE_ANGLE) * tangents
+    found = [_energy_by_order(rows, b, other) for other in around]  # eight
+    best = max(mirror if order is None else _worst_correlation(by_order, order) for by_order, mirror in found)
+    return best <= score + _PEAK_TOLERANCE * (1 - score) + _ROUNDING
 
 
-def _across(direction: Float64Array) -> Float64Array:
+def _perpendicular(direction: Float64Array) -> Float64Array:
     """A unit vector (3,) at right angles to one."""
     other = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
     return np.asarray(other / np.linalg.norm(other))
