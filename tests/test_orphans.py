@@ -22,7 +22,7 @@ COMMAND = "import sys; from fsh3d_o3d.cli import main; sys.exit(main())"
 # A regular expression that takes for ever, in native code that does not let go of the interpreter.
 ENDLESS = "import re; re.match(r'(a+)+$', 'a' * 60 + 'b')"
 READING = """
-from fsh3d_o3d.files import reader_process as _reader_process as p
+from fsh3d_o3d.files import reader_process as p
 import fsh3d_o3d.cli.process as c, sys
 reader = p.ReaderProcess("tests.test_orphans:endless")
 try:

@@ -9,7 +9,7 @@ from fsh3d_o3d.jobs.descriptor_cache import (
     descriptor_cache_path,
     key_of,
 )
-from fsh3d_o3d.jobs.extraction import Descriptor, FailedInput, extract_descriptors
+from fsh3d_o3d.jobs.extraction import Descriptor, Extraction, FailedInput, extract_descriptors
 from fsh3d_o3d.jobs.ray_tasks import run_tasks_on_ray
 from fsh3d_o3d.jobs.worker_pool import Outcome, run_tasks
 
@@ -17,6 +17,7 @@ __all__ = [
     "CachedDescriptor",
     "Descriptor",
     "DescriptorCache",
+    "Extraction",
     "FailedInput",
     "Outcome",
     "clear_descriptor_cache",

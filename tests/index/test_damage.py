@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsh3d_o3d.index import search as _index_search
+from fsh3d_o3d.index import search
 from fsh3d_o3d.index.checksums import FileChecksums, row_checksums
 from fsh3d_o3d.index.errors import translated
 from fsh3d_o3d.index.shape_index import ShapeIndex, ShapeIndexError
@@ -57,7 +57,7 @@ def library(tmp_path_factory):
 @pytest.fixture(params=[5000, 4], ids=["all", "inverted file"])
 def index(request, library, tmp_path, monkeypatch):
     """A copy of it; with an inverted file."""
-    monkeypatch.setitem(_index_search.IndexSearch.__init__.__kwdefaults__, "exact_below", request.param)
+    monkeypatch.setitem(search.IndexSearch.__init__.__kwdefaults__, "exact_below", request.param)
     path = tmp_path / "index"
     shutil.copytree(library / "index", path)
     ShapeIndex.open(path, option=QUICK)._search.index()

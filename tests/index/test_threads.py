@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from fsh3d_o3d.index import search as _index_search
+from fsh3d_o3d.index import search
 from fsh3d_o3d.index import store as _index_store
 from fsh3d_o3d.index.shape_index import Hit, ShapeIndex, ShapeIndexError
 from tests.index.index_cases import QUICK, blob, write_library
@@ -47,7 +47,7 @@ def facts(hit: Hit) -> tuple[object, ...]:
 
 @pytest.mark.parametrize("exact_below", [5000, 4])
 def test_threads_query_while_a_process_rewrites(tmp_path, monkeypatch, exact_below):
-    monkeypatch.setitem(_index_search.IndexSearch.__init__.__kwdefaults__, "exact_below", exact_below)
+    monkeypatch.setitem(search.IndexSearch.__init__.__kwdefaults__, "exact_below", exact_below)
     paths = write_library(tmp_path / "library", range(12))
     name = os.fspath(tmp_path / "index")
     index = ShapeIndex.open(name, create=True, option=QUICK)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsh3d_o3d.index import store as _index_store
+from fsh3d_o3d.index import store
 from fsh3d_o3d.index.search import IndexSearch
 from fsh3d_o3d.index.shape_index import ShapeIndex
 from tests.index.index_cases import QUICK, write_library
@@ -32,7 +32,7 @@ def filled(tmp_path):
 def test_small_writes_are_put_together(filled, monkeypatch):
     index, paths = filled
     before = [index.query(path)[0].path for path in paths]
-    monkeypatch.setattr(_index_store, "_SMALL_FRAGMENTS", 4)
+    monkeypatch.setattr(store, "_SMALL_FRAGMENTS", 4)
     assert index._store.tidy()
     assert index._store.models.stats()["fragment_stats"]["num_fragments"] == 1
     assert [index.query(path)[0].path for path in paths] == before == paths
@@ -41,16 +41,16 @@ def test_small_writes_are_put_together(filled, monkeypatch):
 
 def test_old_versions_go_after_an_hour(filled, monkeypatch, tmp_path):
     index, paths = filled
-    monkeypatch.setattr(_index_store, "_LITTLE", 0)
-    monkeypatch.setattr(_index_store, "_SMALL_FRAGMENTS", 4)
+    monkeypatch.setattr(store, "_LITTLE", 0)
+    monkeypatch.setattr(store, "_SMALL_FRAGMENTS", 4)
     assert index._store.tidy()
     monkeypatch.undo()
-    monkeypatch.setattr(_index_store, "_LITTLE", 0)
+    monkeypatch.setattr(store, "_LITTLE", 0)
     together = data_files(tmp_path / "index")
     assert len(together) == 9  # eight of one row, and one of all
     assert not index._store.tidy()  # somebody may still be reading them
     time.sleep(0.1)
-    monkeypatch.setattr(_index_store, "_KEPT_SECONDS", 0.02)
+    monkeypatch.setattr(store, "_KEPT_SECONDS", 0.02)
     assert index._store.tidy()
     assert len(data_files(tmp_path / "index")) < 9
     assert [index.query(path)[0].path for path in paths] == paths

@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from fsh3d_o3d.files.reading import read_geometry_arrays
 from fsh3d_o3d.geometry.measures import measure_mesh, weld
 from fsh3d_o3d.sphere_map import embedding as _embedding
-from fsh3d_o3d.sphere_map import relaxation as _relaxation
+from fsh3d_o3d.sphere_map import relaxation
 from fsh3d_o3d.sphere_map.embedding import EmbeddingError, embed, place
 from fsh3d_o3d.sphere_map.hierarchy import Stars
 from fsh3d_o3d.sphere_map.validity import degree, distortion, is_valid, orientations, solid_angles
@@ -43,7 +43,7 @@ def test_every_level_is_valid(rng, name):
     def checked(level_vertices, level_triangles, sphere):
         assert len(level_vertices) == len(sphere)
         assert is_valid(sphere, level_triangles)
-        relaxed = _relaxation.relax(level_vertices, level_triangles, sphere)
+        relaxed = relaxation.relax(level_vertices, level_triangles, sphere)
         # Far from what float64 can hold: the smallest triangle of 1000 would be 1e-10 of the sphere.
         assert orientations(relaxed, level_triangles).min() * len(level_triangles) > 1e-7
         assert degree(relaxed, level_triangles) == 1

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.triangulation import fibonacci_triangulation, icosphere
 from fsh3d_o3d.sphere.grids import fibonacci_grid
-from fsh3d_o3d.sphere_map import point_location as _point_location
+from fsh3d_o3d.sphere_map import point_location
 from fsh3d_o3d.sphere_map.point_location import determinants, locate
 
 OCTAHEDRON = np.vstack((np.eye(3), -np.eye(3)))
@@ -142,20 +142,20 @@ def test_the_way_there_does_not_matter(rng, monkeypatch):
     sphere, triangles = nested(rng, 300)
     directions = difficult_directions(sphere, triangles, rng)
     found, weights = locate(sphere, triangles, directions)
-    monkeypatch.setattr(_point_location, "_BLOCK", 7)
-    monkeypatch.setattr(_point_location, "_PAIRS", 1000)
+    monkeypatch.setattr(point_location, "_BLOCK", 7)
+    monkeypatch.setattr(point_location, "_PAIRS", 1000)
     again = locate(sphere, triangles, directions)
     assert (found.tobytes(), weights.tobytes()) == tuple(array.tobytes() for array in again)
     # No walk at all: every triangle is tried.
     monkeypatch.setattr(
-        _point_location._Triangulation, "_walked", lambda self, d: (np.full(len(d), -1), np.ones((len(d), 3)))
+        point_location._Triangulation, "_walked", lambda self, d: (np.full(len(d), -1), np.ones((len(d), 3)))
     )
     again = locate(sphere, triangles, directions)
     assert (found.tobytes(), weights.tobytes()) == tuple(array.tobytes() for array in again)
 
 
 def test_walks_end_soon(rng, monkeypatch):
-    monkeypatch.setattr(_point_location._Triangulation, "_searched", lambda *_: pytest.fail("a walk did not end"))
+    monkeypatch.setattr(point_location._Triangulation, "_searched", lambda *_: pytest.fail("a walk did not end"))
     for sphere, triangles in (nested(rng, 1000), shrunk(30, 1e-2), shrunk(30, 1e2)):
         locate(sphere, triangles, normalised(rng.standard_normal((2000, 3))))
 

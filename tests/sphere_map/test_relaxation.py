@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fsh3d_o3d.sphere_map import relaxation as _relaxation
+from fsh3d_o3d.sphere_map import relaxation
 from fsh3d_o3d.sphere_map.relaxation import relax
 from fsh3d_o3d.sphere_map.validity import distortion, is_valid, orientations
 from tests.sphere_map import closed_surfaces as surfaces
@@ -26,7 +26,7 @@ def energy(vertices, triangles, sphere, area_weight):
     squares = (edges**2).sum(axis=2)
     area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2
     squares = squares / squares.mean()
-    squares = squares + _relaxation._THICKENED * squares.mean(axis=1, keepdims=True) + 1e-9
+    squares = squares + relaxation._THICKENED * squares.mean(axis=1, keepdims=True) + 1e-9
     # A flat triangle with these edges, laid out in the plane; then the map's 2 × 2 metric by solving for it.
     c = np.sqrt(squares[:, 2])
     x = (squares[:, 1] + squares[:, 2] - squares[:, 0]) / (2 * c)
@@ -35,7 +35,7 @@ def energy(vertices, triangles, sphere, area_weight):
     target = np.stack((image[:, 1] - image[:, 0], image[:, 2] - image[:, 0]), axis=2)
     jacobian = target @ np.linalg.inv(source)
     determinant = np.linalg.det(image)
-    mass = area / area.mean() + _relaxation._FLOOR
+    mass = area / area.mean() + relaxation._FLOOR
     mass /= mass.sum()
     ratio = (jacobian**2).sum(axis=(1, 2)) / 2 * (c * y / 2) / (determinant / 2)
     return float((mass * ratio - area_weight * mass * np.log(determinant / 2)).sum())
@@ -65,8 +65,8 @@ def test_one_vertex_moves_down_the_gradient(rng, monkeypatch):
     sphere, triangles = surfaces.ball(3)
     vertices = sphere * (1.0, 1.2, 0.9)
     points = jittered(rng, sphere, triangles, 0.03)
-    surface = _relaxation._Surface.of(vertices, triangles)
-    move = _relaxation._newton_move(surface, points, orientations(points, triangles), 2.0)
+    surface = relaxation._Surface.of(vertices, triangles)
+    move = relaxation._newton_move(surface, points, orientations(points, triangles), 2.0)
     # Along each vertex' own Newton step its energy falls at first: the slope, by central differences.
     for vertex in range(0, len(points), 7):
         ahead, behind = points.copy(), points.copy()
@@ -111,6 +111,6 @@ def test_no_step_is_too_long(rng):
     sphere, triangles = surfaces.ball(4)
     # Moves that would turn everything over are cut down until every triangle keeps its share.
     before = orientations(sphere, triangles)
-    moved, after = _relaxation._guarded(sphere, 3 * rng.standard_normal(sphere.shape), triangles, before)
-    assert (after >= _relaxation._SHRINK * before).all()
+    moved, after = relaxation._guarded(sphere, 3 * rng.standard_normal(sphere.shape), triangles, before)
+    assert (after >= relaxation._SHRINK * before).all()
     assert is_valid(moved, triangles)
