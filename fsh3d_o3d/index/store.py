@@ -166,11 +166,12 @@ class IndexStore:
             ShapeIndexError: The index is damaged, or was rewritten again and again while it was read.
         """
         for attempt in range(_READINGS):
-            version = self.latest(table)
+            before = self._number(table)
             try:
-                return work(version)
+                # Opening it is part of the trial: others may remove a version as soon as there is a newer one.
+                return work(self.latest(table))
             except ShapeIndexError:
-                if attempt == _READINGS - 1 or self.latest(table) is version:
+                if attempt == _READINGS - 1 or self._number(table) == before:
                     raise
         raise AssertionError  # not reached
 
@@ -250,6 +251,10 @@ class IndexStore:
                 moved = moved or table is self.models
                 self._files.tidy(name)
         return moved
+
+    def _number(self, table: str) -> int:
+        with self._reading:
+            return self._newest(table)
 
     def _newest(self, table: str) -> int:
         """The number of a table's newest version, by the files' names: what stands in a file may be damaged."""

@@ -127,6 +127,28 @@ def test_a_version_that_is_removed_while_it_is_read_is_replaced_by_a_newer_one(t
     assert removed() == 2
 
 
+def test_a_version_that_is_removed_before_it_is_opened_is_replaced_by_a_newer_one(tmp_path, monkeypatch):
+    index, paths = filled(tmp_path)
+    other = ShapeIndex.open(index.path, option=QUICK)
+    store = index._store
+    newest, asked = store._newest, []
+
+    def newest_then_gone(table: str) -> int:
+        number = newest(table)
+        asked.append(number)
+        if len(asked) == 2:  # the first is to compare with, the second is opened
+            rows = other._store.where("path", [os.fsencode(paths[0])], other._store.models.schema.names)
+            other._store.put(other._store.models, {name: rows[name] for name in rows.column_names})
+            monkeypatch.setattr(_index_store, "_KEPT_SECONDS", 0.001)
+            monkeypatch.setattr(_index_store, "_SMALL_FRAGMENTS", 0)
+            assert other._store.tidy()
+        return number
+
+    monkeypatch.setattr(store, "_newest", newest_then_gone)
+    assert index.query(blob(1), top=1)[0].path == paths[1]
+    assert asked[2] > asked[1] == asked[0]
+
+
 def test_an_index_that_never_rests_is_an_error_in_the_end(tmp_path, monkeypatch):
     index, _ = filled(tmp_path)
     removed = superseded(index, 100, monkeypatch)
