@@ -14,7 +14,19 @@ import pytest
 import fsh3d_o3d as fsh
 
 SAMPLES = Path(__file__).parents[1] / "samples"
-FOLDERS = ("sphere",)
+FOLDERS = (
+    "sphere",
+    "files",
+    "geometry",
+    "closing",
+    "sphere_map",
+    "shapes",
+    "descriptors",
+    "registration",
+    "jobs",
+    "evaluation",
+    "index",
+)
 """Of the package, whose public names are held to this so far."""
 PUBLIC = {name: getattr(fsh, name) for name in fsh.__all__ if callable(getattr(fsh, name))}
 SHOWN = [name for name, value in PUBLIC.items() if value.__module__.split(".")[1] in FOLDERS]

@@ -100,6 +100,14 @@ def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> C
         TypeError: Not a mesh.
         GeometryError: Empty, not finite, or without area.
         MemoryEstimateError: The grid is too large for the memory at hand.
+
+    Example:
+        >>> knot = fsh.read_geometry("samples/trefoil_knot.ply")  # closed, but of genus 1
+        >>> closing = fsh.prepare_closed(knot, resolution=16)
+        >>> closing.method
+        'carved'
+        >>> fsh.ConformalShape.from_geometry(closing.mesh, bandwidth=8).to_triangle_mesh(1000)
+        TriangleMesh with 1002 points and 2000 triangles.
     """
     cells = check.integer(resolution, "resolution", minimum=8, maximum=1024)
     given = geometry_arrays(mesh)[0]

@@ -63,6 +63,13 @@ def compute_shd_feature(geometry: Any, option: SHDOption | None = None) -> Any:
     Raises:
         TypeError: Not a geometry.
         GeometryError: Empty, not finite, without area or extent.
+
+    Example:
+        >>> mesh = fsh.read_geometry("samples/gem.stl")
+        >>> fsh.compute_shd_feature(mesh).data.shape
+        (16, 32)
+        >>> fsh.compute_shd_feature(mesh, fsh.SHDOption.best()).data.shape
+        (12, 300)
     """
     feature = open3d().pipelines.registration.Feature()
     feature.data = _described(geometry, option)[0]
@@ -116,7 +123,13 @@ def compute_signature(geometry: Any, option: SHDOption | None = None, *, bandwid
 
 
 def shd_descriptor(geometry: Any, option: SHDOption | None = None) -> NDArray[np.float32]:
-    """Compute ``compute_shd_feature`` as a vector (d,), row by row; see there. Does not need Open3D for arrays."""
+    """Compute ``compute_shd_feature`` as a vector (d,), row by row; see there. Does not need Open3D for arrays.
+
+    Example:
+        >>> mesh = fsh.read_geometry("samples/gem.stl")
+        >>> fsh.shd_descriptor(mesh, fsh.SHDOption.best()).shape
+        (3600,)
+    """
     return _described(geometry, option)[0].astype(np.float32).ravel()
 
 
@@ -127,6 +140,13 @@ def descriptor_distances(first: object, second: object, option: SHDOption | CPSH
 
     Raises:
         ValueError: Not descriptors of this option's length, or not finite.
+
+    Example:
+        >>> option = fsh.SHDOption.best()
+        >>> names = ("gem.stl", "gem_rotated.stl", "horn.off")
+        >>> gem, turned, horn = (fsh.shd_descriptor(fsh.read_geometry(f"samples/{name}"), option) for name in names)
+        >>> print(fsh.descriptor_distances(gem, [turned, horn], option).round(1))
+        [[0.  0.9]]
     """
     if not isinstance(option, CPSHDOption):
         option = _checked(option)

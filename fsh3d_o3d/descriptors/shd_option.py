@@ -24,6 +24,13 @@ class SHDOption:
 
     The default is the energies of one field: ``Feature.data`` is (bandwidth, shells). ``best()`` retrieves best,
     ``published()`` is the descriptor of Kazhdan et al. (2003). Checked when made.
+
+    Example:
+        >>> option = fsh.SHDOption(bandwidth=8, shells=16)
+        >>> option.feature_shape
+        (8, 16)
+        >>> fsh.SHDOption.published().feature_shape, fsh.SHDOption.best().feature_shape
+        ((17, 32), (12, 300))
     """
 
     bandwidth: int = 16

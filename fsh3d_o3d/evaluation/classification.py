@@ -66,6 +66,14 @@ def read_classification(path: str | os.PathLike[str]) -> Classification:
         OSError: The file cannot be read.
         ValueError: The file is no such text, is truncated or contradicts itself: one line with the file's name, the
             line's number and the reason.
+
+    Example:
+        >>> from pathlib import Path
+        >>> content = "PSB 1  1 3  stones 0 3  bennu_like bennu_like_low stone_degree8"
+        >>> written = Path("stones.cla").write_text(content)
+        >>> classification = fsh.read_classification("stones.cla")
+        >>> classification.classes[0].full_name, classification.models
+        ('stones', ('bennu_like', 'bennu_like_low', 'stone_degree8'))
     """
     file = Path(path)
     with open_regular(file) as stream:

@@ -84,6 +84,19 @@ def evaluate_models(
     Raises:
         OSError: The folder cannot be listed.
         ValueError: Too few models could be described for any class to be scored.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from fsh3d_o3d.descriptors import SHDDescriptor
+        >>> content = "PSB 1  2 5  gems 0 2  gem gem_rotated  stones 0 3  bennu_like bennu_like_low stone_degree8"
+        >>> written = Path("toy.cla").write_text(content)
+        >>> classification = fsh.read_classification("toy.cla")
+        >>> descriptor = SHDDescriptor(fsh.SHDOption(bandwidth=8))
+        >>> evaluation = fsh.evaluate_models("samples", classification, descriptor, workers=1)
+        >>> evaluation.models, evaluation.failed
+        (5, ())
+        >>> evaluation.metrics.nearest_neighbor
+        1.0
     """
     start = time.monotonic()
     if neighbors is not None:

@@ -93,6 +93,15 @@ def retrieval_metrics(distances: object, labels: object, *, unscored: Collection
     Raises:
         ValueError: Not square, not finite, another number of labels than rows, or no class of three or more.
         TypeError: Not numbers, or labels that are neither integers nor strings.
+
+    Example:
+        >>> values = np.array([0.0, 0.1, 0.3, 5.0, 5.1, 5.3])  # of six models; distances are their differences
+        >>> labels = ["bolt", "bolt", "bolt", "nut", "nut", "nut"]
+        >>> metrics = fsh.retrieval_metrics(np.abs(values[:, None] - values), labels)
+        >>> print(metrics.nearest_neighbor, metrics.first_tier)
+        1.0 1.0
+        >>> [scores.label for scores in metrics.classes]
+        ['bolt', 'nut']
     """
     matrix = check.real_array(distances, "distances")
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] == 0:

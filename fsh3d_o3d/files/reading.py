@@ -86,6 +86,13 @@ def read_geometry(path: str | os.PathLike[str], *, kind: GeometryKind = "legacy"
     """Read a file as an Open3D ``TriangleMesh`` or ``PointCloud``, legacy or tensor as ``kind`` says.
 
     See ``read_geometry_arrays`` for formats and errors.
+
+    Example:
+        >>> fsh.read_geometry("samples/gem.stl")
+        TriangleMesh with 49 points and 94 triangles.
+        >>> cloud = fsh.read_geometry("samples/bennu_cloud.ply", tensor=True)
+        >>> cloud.point.positions.shape
+        SizeVector[6000, 3]
     """
     check.choice(kind, "kind", GEOMETRY_KINDS)
     geometry = read_geometry_arrays(path, isolated=isolated)

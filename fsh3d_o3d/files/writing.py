@@ -37,6 +37,12 @@ def write_geometry(path: str | os.PathLike[str], geometry: Any) -> None:
         TypeError: Not a geometry.
         GeometryError: Empty, not finite, or with triangles out of range.
         OSError: The folder does not exist or cannot be written, the disk is full, the path is a folder or a device.
+
+    Example:
+        >>> mesh = fsh.read_geometry("samples/gem.stl")
+        >>> fsh.write_geometry("gem.ply", mesh)
+        >>> fsh.read_geometry("gem.ply")
+        TriangleMesh with 49 points and 94 triangles.
     """
     target = Path(path)
     suffix = target.suffix.lower()

@@ -62,6 +62,16 @@ def surface_error(original: Any, reconstruction: Any, *, samples: int = 100_000,
     Raises:
         TypeError: Other objects.
         GeometryError: Empty, without extent or area.
+
+    Example:
+        >>> mesh = fsh.read_geometry("samples/gem.stl")
+        >>> shape = fsh.RadialShape.from_geometry(mesh, bandwidth=16)
+        >>> for bandwidth in (4, 16):
+        ...     error = fsh.surface_error(mesh, shape.truncated(bandwidth).to_triangle_mesh(), samples=10_000)
+        ...     print(f"bandwidth {bandwidth}: RMSE {100 * error.relative().rmse:.1f} % of the diagonal")
+        ...
+        bandwidth 4: RMSE 1.6 % of the diagonal
+        bandwidth 16: RMSE 0.2 % of the diagonal
     """
     first = geometry_arrays(original)[0]
     second = geometry_arrays(reconstruction)[0]
@@ -93,6 +103,13 @@ def vertex_distances(geometry: Any, target: Any) -> Float64Array:
     Args:
         geometry: ``MeshArrays``, ``PointArrays`` or Open3D triangle mesh or point cloud.
         target: The same; distances to a cloud are to its nearest point.
+
+    Example:
+        >>> mesh = fsh.read_geometry("samples/gem.stl")
+        >>> smooth = fsh.RadialShape.from_geometry(mesh, bandwidth=16).to_triangle_mesh()
+        >>> distances = fsh.vertex_distances(smooth, mesh)  # for a map of colours
+        >>> len(distances) == len(smooth.vertices), bool(distances.max() < 0.1)
+        (True, True)
     """
     source = geometry_arrays(geometry)[0]
     other = geometry_arrays(target)[0]

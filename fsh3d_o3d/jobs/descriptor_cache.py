@@ -43,7 +43,13 @@ def descriptor_cache_path() -> Path:
 
 
 def clear_descriptor_cache() -> int:
-    """Remove the cached descriptors; returns the number of files."""
+    """Remove the cached descriptors; returns the number of files.
+
+    Example:
+        >>> removed = fsh.clear_descriptor_cache()
+        >>> fsh.clear_descriptor_cache()  # nothing is left
+        0
+    """
     removed = 0
     for path in descriptor_cache_path().parent.glob("*.sqlite*"):
         with contextlib.suppress(OSError):

@@ -34,7 +34,14 @@ _WHOLE = 0.8  # of the surfaces in touch; where it is less, a second way of seei
 
 @dataclass(frozen=True, kw_only=True)
 class SphericalRegistrationOption:
-    """Options of ``registration_spherical``; checked when made."""
+    """Options of ``registration_spherical``; checked when made.
+
+    Example:
+        >>> source, target = fsh.read_geometry("samples/gem_rotated.stl"), fsh.read_geometry("samples/gem.stl")
+        >>> rigid = fsh.SphericalRegistrationOption(with_scaling=False)  # both in the same units
+        >>> print(f"{fsh.registration_spherical(source, target, rigid).scale:.3f}")
+        1.000
+    """
 
     with_scaling: bool = True
     """Whether the source is also scaled; False: both are in the same units, and the result is rigid."""
@@ -136,6 +143,15 @@ def registration_spherical(
     Raises:
         TypeError: Not a geometry, or not an option.
         GeometryError: Empty, not finite, without area or extent; the message begins with the argument's name.
+
+    Example:
+        >>> source, target = fsh.read_geometry("samples/gem_rotated.stl"), fsh.read_geometry("samples/gem.stl")
+        >>> result = fsh.registration_spherical(source, target)
+        >>> print(f"{1 / result.scale:.2f} times larger, fitness {result.fitness:.2f}")
+        1.30 times larger, fitness 1.00
+        >>> moved = source.transform(result.transformation)
+        >>> bool(fsh.vertex_distances(moved, target).max() < 0.01)
+        True
     """
     if option is None:
         option = SphericalRegistrationOption()

@@ -28,6 +28,14 @@ def canonical_rotation(shape: object) -> CanonicalPose:
         ValueError: The shape is a sphere about its centre, for which every pose is alike; or coefficients are
             malformed.
         TypeError: Neither a shape nor an array.
+
+    Example:
+        >>> stone = fsh.read_geometry("samples/stone_degree8.ply")
+        >>> shape = fsh.RadialShape.from_geometry(stone, bandwidth=9)
+        >>> turned = shape.rotated([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+        >>> first, second = shape.rotated(fsh.canonical_rotation(shape)), turned.rotated(fsh.canonical_rotation(turned))
+        >>> np.allclose(first.coefficients, second.coefficients, atol=1e-6)
+        True
     """
     if isinstance(shape, RadialShape | ShellShape):
         return canonical_pose(shape.coefficients)

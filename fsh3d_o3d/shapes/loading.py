@@ -22,6 +22,13 @@ def load_shape(path: str | os.PathLike[str]) -> RadialShape | ShellShape | Confo
     Raises:
         FileNotFoundError: There is no such file.
         GeometryReadError: Not a shape file, damaged, or of a newer format version.
+
+    Example:
+        >>> mesh = fsh.read_geometry("samples/gem.stl")
+        >>> fsh.RadialShape.from_geometry(mesh, bandwidth=8).save("gem.npz")
+        >>> shape = fsh.load_shape("gem.npz")
+        >>> type(shape).__name__, shape.bandwidth
+        ('RadialShape', 8)
     """
     name, arrays = read_arrays(path)
     for shape in (RadialShape, ShellShape, ConformalShape):

@@ -38,6 +38,13 @@ class ConformalMapOption:
     Raises:
         ValueError: A field is out of range.
         TypeError: A field is not of its type.
+
+    Example:
+        >>> star = fsh.read_geometry("samples/spiky_star.glb")
+        >>> conformal = fsh.conformal_map(star, fsh.ConformalMapOption(area_weight=0))  # angles alone
+        >>> balanced = fsh.conformal_map(star)
+        >>> balanced.area_distortion < conformal.area_distortion
+        True
     """
 
     area_weight: float = AREA_WEIGHT
@@ -89,6 +96,14 @@ def conformal_map(mesh: Any, option: ConformalMapOption | None = None) -> Spheri
             stretched that float64 has no room for its triangles on the sphere.
         MemoryEstimateError: The mesh is too large.
         TypeError: Not a triangle mesh.
+
+    Example:
+        >>> star = fsh.read_geometry("samples/spiky_star.glb")
+        >>> surface = fsh.conformal_map(star)
+        >>> surface.positions.shape, surface.flipped
+        ((32, 3), 0)
+        >>> np.allclose(np.linalg.norm(surface.positions, axis=1), 1)
+        True
     """
     chosen = ConformalMapOption() if option is None else option
     if not isinstance(chosen, ConformalMapOption):
