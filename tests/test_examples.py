@@ -33,9 +33,17 @@ SHOWN = [name for name, value in PUBLIC.items() if value.__module__.split(".")[1
 
 
 def examples(name: str) -> list[doctest.DocTest]:
-    """What the docstrings of a function, or of a class and its methods, show, in the order in which it stands."""
-    found = doctest.DocTestFinder().find(PUBLIC[name], name, module=False, globs={})
-    return sorted((test for test in found if test.examples), key=lambda test: test.lineno or 0)
+    """What docstrings of a function, or of a class, its methods and those of its bases show, as they stand."""
+    found: list[doctest.DocTest] = []
+    for value in family(PUBLIC[name]) if inspect.isclass(PUBLIC[name]) else [PUBLIC[name]]:
+        tests = doctest.DocTestFinder().find(value, name, module=False, globs={})
+        found += sorted((test for test in tests if test.examples), key=lambda test: test.lineno or 0)
+    return found
+
+
+def family(value: type) -> list[type]:
+    """A class and its bases in this package."""
+    return [base for base in value.__mro__ if base.__module__.startswith("fsh3d_o3d")]
 
 
 def shown(name: str) -> str:
@@ -45,10 +53,11 @@ def shown(name: str) -> str:
 
 def methods(value: object) -> list[str]:
     """Names of the public methods of a class."""
-    own = vars(value).items() if inspect.isclass(value) else ()
+    bases = family(value) if inspect.isclass(value) else []
     return [
         name
-        for name, member in own
+        for base in bases
+        for name, member in vars(base).items()
         if not name.startswith("_") and (inspect.isfunction(member) or isinstance(member, (classmethod, staticmethod)))
     ]
 
@@ -61,8 +70,9 @@ def is_result(value: object) -> bool:
     return any((field.default, field.default_factory) == missing for field in dataclasses.fields(value))
 
 
-def is_error(value: object) -> bool:
-    return inspect.isclass(value) and issubclass(value, Exception)
+def is_exempt(value: object) -> bool:
+    """Whether this is nothing to call: an error that is caught, or a protocol, which others follow."""
+    return inspect.isclass(value) and (issubclass(value, Exception) or getattr(value, "_is_protocol", False))
 
 
 def returned(value: object) -> str:
@@ -73,7 +83,7 @@ def returned(value: object) -> str:
     return " ".join(str(inspect.signature(function).return_annotation) for function in functions)
 
 
-@pytest.mark.parametrize("name", [name for name in SHOWN if not is_error(PUBLIC[name])])
+@pytest.mark.parametrize("name", [name for name in SHOWN if not is_exempt(PUBLIC[name])])
 def test_every_public_name_shows_its_use(name):
     value = PUBLIC[name]
     everything = "".join(map(shown, PUBLIC))

@@ -90,7 +90,7 @@ def read_geometry(path: str | os.PathLike[str], *, kind: GeometryKind = "legacy"
     Example:
         >>> fsh.read_geometry("samples/gem.stl")
         TriangleMesh with 49 points and 94 triangles.
-        >>> cloud = fsh.read_geometry("samples/bennu_cloud.ply", tensor=True)
+        >>> cloud = fsh.read_geometry("samples/bennu_cloud.ply", kind="tensor")
         >>> cloud.point.positions.shape
         SizeVector[6000, 3]
     """

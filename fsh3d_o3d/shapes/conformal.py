@@ -38,6 +38,14 @@ class ConformalShape(HarmonicShape):
     """A closed surface of genus 0 as its position x(ω) = Σ c_lm Y_lm(ω) over a map onto the sphere, star-shaped or not.
 
     The paper's second parameterisation, after Agus et al., WISH, 2020; here over the map of ``conformal_map``.
+
+    Example:
+        >>> horn = fsh.read_geometry("samples/horn.off")  # no point sees the whole surface
+        >>> shape = fsh.ConformalShape.from_geometry(horn, bandwidth=12)
+        >>> shape.coefficients.shape
+        (3, 144)
+        >>> shape.to_triangle_mesh(1000)
+        TriangleMesh with 1002 points and 2000 triangles.
     """
 
     coefficients: Float64Array
@@ -89,6 +97,13 @@ class ConformalShape(HarmonicShape):
         Raises:
             GeometryError: Not a closed manifold of genus 0 in one piece; says what it is and what would help.
             ValueError, TypeError: Another argument is out of range, misshapen or of the wrong type.
+
+        Example:
+            >>> star = fsh.read_geometry("samples/spiky_star.glb")
+            >>> heights = np.asarray(star.vertices)[:, 2]
+            >>> shape = fsh.ConformalShape.from_geometry(star, bandwidth=8, attributes={"height": heights})
+            >>> shape.bandwidth, list(shape.attributes)
+            (8, ['height'])
         """
         b = check.bandwidth(bandwidth)
         checked_size(b, oversampling)
@@ -122,6 +137,11 @@ class ConformalShape(HarmonicShape):
             oversampling: Fibonacci directions in units of 4b².
             threads: Number of threads.
             kind: Which Open3D objects the shape becomes.
+
+        Example:
+            >>> surface = fsh.conformal_map(star)  # once for several bandwidths
+            >>> [fsh.ConformalShape.from_map(surface, bandwidth=b).coefficients.shape for b in (4, 8)]
+            [(3, 16), (3, 64)]
         """
         b = check.bandwidth(bandwidth)
         size = checked_size(b, oversampling)
@@ -139,7 +159,14 @@ class ConformalShape(HarmonicShape):
         return _decoding.volume_side(self.coefficients) ** 3
 
     def evaluate(self, directions: object, *, threads: int | None = None) -> Float64Array:
-        """Return positions (m, 3) at unit vectors (m, 3) on the sphere of the map, in the units of the input."""
+        """Return positions (m, 3) at unit vectors (m, 3) on the sphere of the map, in the units of the input.
+
+        Example:
+            >>> directions = fsh.fibonacci_grid(100).directions
+            >>> positions = shape.evaluate(directions)
+            >>> positions.shape
+            (100, 3)
+        """
         return _decoding.values_at(self.coefficients, directions, threads)
 
     def attribute(self, name: str, directions: object) -> Float64Array:
@@ -147,6 +174,10 @@ class ConformalShape(HarmonicShape):
 
         Raises:
             ValueError: There is no such attribute.
+
+        Example:
+            >>> np.allclose(shape.attribute("height", directions), positions[:, 2])
+            True
         """
         if name not in self.attributes:
             known = ", ".join(map(repr, self.attributes)) or "none"
@@ -160,6 +191,11 @@ class ConformalShape(HarmonicShape):
         """Return the surface as arrays: a closed mesh of genus 0, and its vertex normals (v, 3).
 
         See ``to_triangle_mesh``.
+
+        Example:
+            >>> arrays, normals = shape.mesh_arrays(500)
+            >>> arrays.vertices.shape, normals.shape
+            ((642, 3), (642, 3))
         """
         sphere, mesh = self._decoded(resolution, triangulation)
         return mesh, self._normals(sphere)
@@ -181,6 +217,10 @@ class ConformalShape(HarmonicShape):
             triangulation: Of the sphere: ``"icosphere"``, the smallest geodesic icosahedron with as many vertices, or
                 ``"fibonacci"``, the Delaunay triangles of a Fibonacci grid of just as many.
             kind: ``"legacy"`` or ``"tensor"``; that of the input if not given.
+
+        Example:
+            >>> shape.to_triangle_mesh(500, triangulation="fibonacci")
+            TriangleMesh with 500 points and 996 triangles.
         """
         chosen = chosen_kind(kind, self.kind)
         sphere, arrays = self._decoded(resolution, triangulation)
@@ -199,13 +239,22 @@ class ConformalShape(HarmonicShape):
         Args:
             bandwidths: None above the shape's own, each for a mesh of about 24b² vertices; 4, 8, 16, … if not given.
             kind: ``"legacy"`` or ``"tensor"``; that of the input if not given.
+
+        Example:
+            >>> list(shape.level_of_detail((2, 4, 8)))
+            [2, 4, 8]
         """
         if bandwidths is None:
             bandwidths = [2**k for k in range(2, 13) if 2**k <= self.bandwidth] or [self.bandwidth]
         return {b: self.truncated(b).to_triangle_mesh(_decoding.level_resolution(b), kind=kind) for b in bandwidths}
 
     def to_point_cloud(self, n: int = 10_000, *, kind: GeometryKind | None = None) -> Any:
-        """Decode to an Open3D ``PointCloud`` of n points spread evenly over the surface, with normals and colours."""
+        """Decode to an Open3D ``PointCloud`` of n points spread evenly over the surface, with normals and colours.
+
+        Example:
+            >>> shape.to_point_cloud(500)
+            PointCloud with 500 points.
+        """
         count = check.integer(n, "n", minimum=1, maximum=10**8)
         sphere, mesh = self._decoded(None, "icosphere")
         points, triangle = area_samples(mesh, count)
@@ -219,6 +268,10 @@ class ConformalShape(HarmonicShape):
 
         They do not change when the input is rotated or moved, nor when its map is rotated, and scale with it. Degree 0
         is the position and counts as 0.
+
+        Example:
+            >>> shape.compute_feature().data.shape
+            (8, 1)
         """
         energies = np.hypot.reduce(degree_energies(self.coefficients), axis=0)
         energies[0] = 0
@@ -230,6 +283,11 @@ class ConformalShape(HarmonicShape):
         Damping high degrees smooths, and shrinks, since all degrees but 0 hold a part of the size. ``keep_volume``
         therefore scales the result about its centre to the volume before, if either encloses any: smoothed as much as
         one likes, it tends to an ellipsoid and not to a point. Attributes are multiplied by the gains alone.
+
+        Example:
+            >>> smooth = shape.filtered(fsh.heat_filter(8, 0.05))
+            >>> np.allclose(smooth.volume, shape.volume)
+            True
         """
         smooth = self._changed(lambda coefficients: filter_coefficients(coefficients, gain_per_degree))
         if not keep_volume:
@@ -244,6 +302,11 @@ class ConformalShape(HarmonicShape):
 
         Raises:
             ValueError: R is not a rotation.
+
+        Example:
+            >>> turned = shape.rotated([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+            >>> np.allclose(turned.volume, shape.volume)
+            True
         """
         turned = check.rotation(rotation) @ self.coefficients
         turned[:, 0] = self.coefficients[:, 0]

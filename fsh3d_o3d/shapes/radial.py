@@ -39,7 +39,18 @@ CenterName = Literal["auto", "best", "centroid"]
 
 @dataclass(frozen=True, eq=False)
 class RadialShape(HarmonicShape):
-    """A closed surface r(ω) = Σ c_lm Y_lm(ω) about a centre, as b² coefficients in the units of the input."""
+    """A closed surface r(ω) = Σ c_lm Y_lm(ω) about a centre, as b² coefficients in the units of the input.
+
+    Example:
+        >>> mesh = fsh.read_geometry("samples/gem.stl")
+        >>> shape = fsh.RadialShape.from_geometry(mesh, bandwidth=16)
+        >>> shape.bandwidth, shape.coefficients.shape
+        (16, (256,))
+        >>> print(f"{shape.volume:.2f}, {mesh.get_volume():.2f}")
+        1.93, 1.93
+        >>> shape.to_triangle_mesh(1000)
+        TriangleMesh with 1002 points and 2000 triangles.
+    """
 
     coefficients: Float64Array
     """(b²,) of the radial function; real orthonormal harmonics, index l² + l + m. Read-only."""
@@ -98,6 +109,16 @@ class RadialShape(HarmonicShape):
             CoverageError: A cloud that leaves too much of the sphere empty.
             GeometryError: Empty, not finite, or without extent.
             ValueError, TypeError: Another argument is out of range or of the wrong type.
+
+        Example:
+            >>> horn = fsh.read_geometry("samples/horn.off")  # rays from its centre meet it several times, or never
+            >>> fsh.RadialShape.from_geometry(horn, bandwidth=8, center="centroid")
+            Traceback (most recent call last):
+                ...
+            fsh3d_o3d.errors.NotStarShapedError: ...
+            >>> cloud = fsh.read_geometry("samples/stone_cloud.xyzn")
+            >>> print(f"{fsh.RadialShape.from_geometry(cloud, bandwidth=9).volume:.1f}")
+            4.3
         """
         b = check.bandwidth(bandwidth)
         arrays, kind = geometry_arrays(geometry)
@@ -129,7 +150,12 @@ class RadialShape(HarmonicShape):
         return float(transform.weights @ radii**3 / 3 * scale**3)
 
     def evaluate(self, directions: object, *, threads: int | None = None) -> Float64Array:
-        """Return r at unit vectors (m, 3), in the units of the input, (m,)."""
+        """Return r at unit vectors (m, 3), in the units of the input, (m,).
+
+        Example:
+            >>> shape.evaluate([[0, 0, 1], [0, 0, -1]]).round(1)  # from the centre up and down
+            array([0.4, 0.8])
+        """
         return np.asarray(evaluate(self.coefficients, directions, threads=threads), dtype=np.float64)
 
     def mesh_arrays(
@@ -138,6 +164,11 @@ class RadialShape(HarmonicShape):
         """Return the surface as arrays: a closed, outward-oriented mesh of genus 0, and its vertex normals (v, 3).
 
         See ``to_triangle_mesh``.
+
+        Example:
+            >>> arrays, normals = shape.mesh_arrays(1000)
+            >>> arrays.vertices.shape, arrays.triangles.shape, normals.shape
+            ((1002, 3), (2000, 3), (1002, 3))
         """
         points = usual_resolution(self.bandwidth) if resolution is None else resolution
         directions, triangles = decoding_sphere(points, triangulation)
@@ -163,6 +194,12 @@ class RadialShape(HarmonicShape):
 
         Raises:
             GeometryError: The radial function is not positive everywhere, as truncation of a spiky shape can make it.
+
+        Example:
+            >>> shape.to_triangle_mesh(1000, triangulation="fibonacci")
+            TriangleMesh with 1000 points and 1996 triangles.
+            >>> shape.to_triangle_mesh(1000).is_watertight()
+            True
         """
         mesh, normals = self.mesh_arrays(resolution, triangulation=triangulation)
         return open3d_mesh(mesh, chosen_kind(kind, self.kind), normals=normals)
@@ -172,6 +209,10 @@ class RadialShape(HarmonicShape):
 
         Raises:
             GeometryError: The radial function is not positive everywhere.
+
+        Example:
+            >>> shape.to_point_cloud(500)
+            PointCloud with 500 points.
         """
         points, normals = self._surface(fibonacci_grid(n))
         return open3d_point_cloud(PointArrays(points, normals), chosen_kind(kind, self.kind))
@@ -180,6 +221,10 @@ class RadialShape(HarmonicShape):
         """Return the energies per degree as an Open3D ``Feature`` of shape (b, 1).
 
         They do not change when the input is rotated about the centre or moved, and scale with it.
+
+        Example:
+            >>> shape.compute_feature().data.shape
+            (16, 1)
         """
         return feature_of(degree_energies(self.coefficients)[:, None])
 

@@ -94,13 +94,23 @@ class HarmonicShape:
         return int(np.sqrt(self.coefficients.shape[-1]) + 0.5)
 
     def truncated(self, bandwidth: int) -> Self:
-        """Return the shape of the degrees below ``bandwidth``: a coarser level of detail."""
+        """Return the shape of the degrees below ``bandwidth``: a coarser level of detail.
+
+        Example:
+            >>> shape.truncated(4).bandwidth
+            4
+        """
         return self._changed(lambda coefficients: truncate(coefficients, bandwidth))
 
     def filtered(self, gain_per_degree: object) -> Self:
         """Return the shape with each degree multiplied by a gain, (b,) or a function of the degrees.
 
         See ``heat_filter``, ``lanczos_filter``, ``ideal_filter``.
+
+        Example:
+            >>> smooth = shape.filtered(fsh.heat_filter(shape.bandwidth, 0.01))
+            >>> smooth.coefficients.shape == shape.coefficients.shape
+            True
         """
         return self._changed(lambda coefficients: filter_coefficients(coefficients, gain_per_degree))
 
@@ -111,6 +121,11 @@ class HarmonicShape:
 
         Raises:
             ValueError: R is not a rotation.
+
+        Example:
+            >>> turned = shape.rotated([[0, -1, 0], [1, 0, 0], [0, 0, 1]])  # x to y
+            >>> np.allclose(turned.compute_feature().data, shape.compute_feature().data)
+            True
         """
         return self._changed(lambda coefficients: rotate_coefficients(coefficients, rotation))
 
@@ -120,6 +135,11 @@ class HarmonicShape:
         Raises:
             ValueError: The name does not end in ``.npz``.
             OSError: The file cannot be written; what was there stays.
+
+        Example:
+            >>> shape.save("shape.npz")
+            >>> bool((fsh.load_shape("shape.npz").coefficients == shape.coefficients).all())
+            True
         """
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         attributes = attributes_as_arrays(values.pop("attributes", {}))

@@ -37,7 +37,17 @@ _MARGIN = 0.05  # of empty space beyond the surface, in units of the frame
 
 @dataclass(frozen=True, eq=False)
 class ShellShape(HarmonicShape):
-    """A field f(r, ω) = Σ f_lm(r) Y_lm(ω) in a ball, as b² coefficients on each of S concentric spheres."""
+    """A field f(r, ω) = Σ f_lm(r) Y_lm(ω) in a ball, as b² coefficients on each of S concentric spheres.
+
+    Example:
+        >>> knot = fsh.read_geometry("samples/trefoil_knot.ply")
+        >>> shape = fsh.ShellShape.from_geometry(knot, bandwidth=12, shells=16, field="signed_distance")
+        >>> shape.coefficients.shape
+        (16, 144)
+        >>> again = shape.to_triangle_mesh(32)
+        >>> again.is_watertight(), again.euler_poincare_characteristic()  # 0: a torus, like the knot
+        (True, 0)
+    """
 
     coefficients: Float64Array
     """(S, b²), one row a shell; real orthonormal harmonics, index l² + l + m. Read-only."""
@@ -112,6 +122,11 @@ class ShellShape(HarmonicShape):
                 encloses nothing where the field needs an inside.
             MemoryEstimateError: The samples would not fit in memory.
             ValueError, TypeError: Another argument is out of range or of the wrong type.
+
+        Example:
+            >>> shape = fsh.ShellShape.from_geometry(knot, bandwidth=8, shells=12)  # needs no inside
+            >>> shape.field, shape.coefficients.shape
+            ('gaussian_distance', (12, 64))
         """
         b = check.bandwidth(bandwidth)
         count = check.integer(shells, "shells", minimum=_FEWEST_SHELLS, maximum=_MOST_SHELLS)
@@ -141,6 +156,11 @@ class ShellShape(HarmonicShape):
         """Return the field at points (n, 3) in the coordinates of the input, (n,).
 
         Signed distances are in units of ``scale``. Beyond the last shell the field is constant along each ray.
+
+        Example:
+            >>> on_surface = np.asarray(knot.vertices)[:4]
+            >>> bool((shape.evaluate(on_surface) > shape.evaluate(on_surface + 0.3)).all())
+            True
         """
         positions = check.vectors(points, "points")
         return self._ball()(positions / self.scale - self.center / self.scale, threads=threads)
@@ -155,6 +175,11 @@ class ShellShape(HarmonicShape):
 
         Raises:
             MemoryEstimateError: The grid would not fit in memory.
+
+        Example:
+            >>> volume = shape.to_volume(24)
+            >>> volume.values.shape, volume.origin.shape
+            ((24, 24, 24), (3,))
         """
         n = cube_resolution(points_per_side, self.bandwidth, len(self.radii))
         reach = float(self.radii[-1])
@@ -173,6 +198,11 @@ class ShellShape(HarmonicShape):
         """Return the iso-surface as arrays: a closed, outward-oriented mesh, and its vertex normals (v, 3).
 
         See ``to_triangle_mesh``.
+
+        Example:
+            >>> arrays, normals = shape.mesh_arrays(24)
+            >>> len(arrays.vertices) == len(normals)
+            True
         """
         height = self.level if level is None else check.number(level, "level")
         share = check.number(smallest, "smallest", minimum=0, maximum=1)
@@ -213,6 +243,10 @@ class ShellShape(HarmonicShape):
         Raises:
             GeometryError: The field does not cross the level at this resolution.
             MemoryEstimateError: The grid would not fit in memory.
+
+        Example:
+            >>> shape.to_triangle_mesh(32, smallest=0.05).is_watertight()  # without crumbs
+            True
         """
         mesh, normals = self.mesh_arrays(points_per_side, level=level, smallest=smallest, threads=threads)
         return open3d_mesh(mesh, chosen_kind(kind, self.kind), normals=normals)
@@ -222,6 +256,10 @@ class ShellShape(HarmonicShape):
 
         Raises:
             GeometryError: The field does not cross its level.
+
+        Example:
+            >>> shape.to_point_cloud(500)
+            PointCloud with 500 points.
         """
         count = check.integer(n, "n", minimum=1, maximum=10**8)
         mesh, normals = self.mesh_arrays()
@@ -234,6 +272,10 @@ class ShellShape(HarmonicShape):
         """Return the energies per degree and shell as an Open3D ``Feature`` of shape (b, S).
 
         They do not change when the input is rotated about the centre, moved or scaled.
+
+        Example:
+            >>> shape.compute_feature().data.shape
+            (8, 12)
         """
         return feature_of(degree_energies(self.coefficients).T)
 
