@@ -24,7 +24,7 @@ from fsh3d_o3d.geometry import (
     UnitCube,
     UnitScene,
     area_samples,
-    components,
+    component_areas,
     geometry_arrays,
     measure_mesh,
     oriented,
@@ -210,15 +210,12 @@ def _repaired(mesh: MeshArrays, measures: MeshMeasures) -> tuple[MeshArrays, tup
 
 def _without_debris(mesh: MeshArrays) -> tuple[MeshArrays, int]:
     """The largest component and the number of others, or the whole where the others are more than debris."""
-    triangles = mesh.triangles
-    number, part = components(triangles.ravel(), triangles[:, (1, 2, 0)].ravel(), len(mesh.vertices))
-    first, second, third = (mesh.vertices[triangles[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(second - first, third - first), axis=1)
-    share = np.bincount(part[triangles[:, 0]], weights=area, minlength=number) / area.sum()
+    part, area = component_areas(mesh)
+    share = area / area.sum()
     largest = int(share.argmax())
     if share[largest] < 1 - _DEBRIS:
         return mesh, 0
-    return weld(MeshArrays(mesh.vertices, triangles[part[triangles[:, 0]] == largest])), number - 1
+    return weld(MeshArrays(mesh.vertices, mesh.triangles[part == largest])), len(area) - 1
 
 
 def _carved(mesh: MeshArrays, cells: int, points: Float64Array) -> tuple[MeshArrays, BoolArray, tuple[str, ...]]:

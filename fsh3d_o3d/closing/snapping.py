@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry import BoolArray, UnitScene, closest_points
+from fsh3d_o3d.geometry import BoolArray, UnitScene, closest_points, longest_edges, triangle_normals
 
 _STEPS = 3
 _EVEN = 0.5  # share of the way to the middle of the neighbours, per step
@@ -76,16 +76,14 @@ def _first_valid(choices: tuple[Float64Array, ...], triangles: IntArray) -> Floa
 
 def _shape(vertices: Float64Array, triangles: IntArray) -> tuple[Float64Array, Float64Array]:
     """Unit normals (t, 3) and height over longest edge (t,)."""
-    first, second, third = (vertices[triangles[:, k]] for k in range(3))
-    normal = np.cross(second - first, third - first)
+    corners = vertices[triangles]
+    normal = triangle_normals(corners)
     area = np.linalg.norm(normal, axis=1)
-    longest = np.maximum.reduce([np.einsum("ij,ij->i", e, e) for e in (second - first, third - second, first - third)])
-    return normal / np.maximum(area, 1e-300)[:, None], area / np.maximum(longest, 1e-300)
+    return normal / np.maximum(area, 1e-300)[:, None], area / np.maximum(longest_edges(corners), 1e-300)
 
 
 def _vertex_normals(vertices: Float64Array, triangles: IntArray) -> Float64Array:
-    first, second, third = (vertices[triangles[:, k]] for k in range(3))
-    face = np.cross(second - first, third - first)
+    face = triangle_normals(vertices[triangles])
     total = _scattered(np.repeat(face, 3, axis=0), triangles.ravel(), len(vertices))
     return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None])
 

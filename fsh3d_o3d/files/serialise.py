@@ -18,7 +18,7 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class Content:
     """What is written: a mesh, or a cloud of points where there are no triangles."""
 
     points: Float64Array
@@ -31,7 +31,7 @@ class Surface:
     """(n, 3) colours in [0, 1], or None."""
 
 
-def ply_bytes(surface: Surface) -> bytes:
+def ply_bytes(surface: Content) -> bytes:
     """Binary PLY: float64 positions and normals, colours in eight bits."""
     columns: list[tuple[str, str, NDArray[Any]]] = []
     for names, values in (("x y z", surface.points), ("nx ny nz", surface.normals)):
@@ -54,7 +54,7 @@ def ply_bytes(surface: Surface) -> bytes:
     return "\n".join([*header, "end_header", ""]).encode("ascii") + body
 
 
-def obj_bytes(surface: Surface) -> bytes:
+def obj_bytes(surface: Content) -> bytes:
     """Wavefront OBJ, with normals, and with colours behind the coordinates as many programs read them."""
     vertices = surface.points if surface.colors is None else np.hstack([surface.points, surface.colors])
     text = _rows("v", vertices)
@@ -66,7 +66,7 @@ def obj_bytes(surface: Surface) -> bytes:
     return (text + _format(f"f {corner}\n", corners)).encode("ascii")
 
 
-def off_bytes(surface: Surface) -> bytes:
+def off_bytes(surface: Content) -> bytes:
     """OFF, as NOFF with normals, COFF with colours in eight bits, CNOFF with both."""
     triangles = _triangles(surface)
     columns: list[NDArray[Any]] = [surface.points.astype(object)]
@@ -82,7 +82,7 @@ def off_bytes(surface: Surface) -> bytes:
     return (header + _format(pattern + "\n", np.hstack(columns)) + _format("3 %d %d %d\n", triangles)).encode("ascii")
 
 
-def stl_bytes(surface: Surface) -> bytes:
+def stl_bytes(surface: Content) -> bytes:
     """Binary STL: float32 corners and the normals of the triangles; neither vertex normals nor colours."""
     corners = surface.points[_triangles(surface)]
     scale = np.abs(corners).max() or 1.0
@@ -95,7 +95,7 @@ def stl_bytes(surface: Surface) -> bytes:
     return b"binary STL".ljust(80) + len(facets).to_bytes(4, "little") + facets.tobytes()
 
 
-def glb_bytes(surface: Surface) -> bytes:
+def glb_bytes(surface: Content) -> bytes:
     """Binary glTF 2.0: one mesh; float32 positions, normals and colours."""
     points = _as_float32(surface.points, "glTF")
     blocks: list[tuple[str, NDArray[Any], str, int]] = [("POSITION", points, "VEC3", 34962)]
@@ -140,13 +140,13 @@ def glb_bytes(surface: Surface) -> bytes:
     return b"glTF" + (2).to_bytes(4, "little") + (12 + len(chunks)).to_bytes(4, "little") + chunks
 
 
-def xyz_bytes(surface: Surface) -> bytes:
+def xyz_bytes(surface: Content) -> bytes:
     """Lines of coordinates, followed by the normals where there are any; no colours."""
     table = surface.points if surface.normals is None else np.hstack([surface.points, surface.normals])
     return _rows("", table).encode("ascii")
 
 
-def pcd_bytes(surface: Surface) -> bytes:
+def pcd_bytes(surface: Content) -> bytes:
     """Binary PCD: float32 fields, as the programs that use the format expect, and colours packed in ``rgb``."""
     fields: list[tuple[str, str, NDArray[Any]]] = [
         (name, "<f4", surface.points[:, axis]) for axis, name in enumerate("xyz")
@@ -175,7 +175,7 @@ def pcd_bytes(surface: Surface) -> bytes:
     return "\n".join(header).encode("ascii") + table.tobytes()
 
 
-MESH_WRITERS: dict[str, Callable[[Surface], bytes]] = {
+MESH_WRITERS: dict[str, Callable[[Content], bytes]] = {
     ".ply": ply_bytes,
     ".obj": obj_bytes,
     ".off": off_bytes,
@@ -184,11 +184,11 @@ MESH_WRITERS: dict[str, Callable[[Surface], bytes]] = {
 }
 """Extension and function for meshes."""
 
-CLOUD_WRITERS: dict[str, Callable[[Surface], bytes]] = {".ply": ply_bytes, ".xyz": xyz_bytes, ".pcd": pcd_bytes}
+CLOUD_WRITERS: dict[str, Callable[[Content], bytes]] = {".ply": ply_bytes, ".xyz": xyz_bytes, ".pcd": pcd_bytes}
 """Extension and function for point clouds."""
 
 
-def _triangles(surface: Surface) -> IntArray:
+def _triangles(surface: Content) -> IntArray:
     assert surface.triangles is not None
     return surface.triangles
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.files.serialise import CLOUD_WRITERS, MESH_WRITERS, Surface
+from fsh3d_o3d.files.serialise import CLOUD_WRITERS, MESH_WRITERS, Content
 from fsh3d_o3d.geometry import PointArrays, geometry_arrays, vertex_attributes
 
 WRITABLE_MESH_FORMATS: tuple[str, ...] = tuple(MESH_WRITERS)
@@ -58,12 +58,12 @@ def write_geometry(path: str | os.PathLike[str], geometry: Any) -> None:
     atomic_write_bytes(target, writers[suffix](surface))
 
 
-def _surface(geometry: Any) -> Surface:
+def _surface(geometry: Any) -> Content:
     arrays, _ = geometry_arrays(geometry)
     if isinstance(arrays, PointArrays):
-        surface = Surface(arrays.points, None, arrays.normals, arrays.colors)
+        surface = Content(arrays.points, None, arrays.normals, arrays.colors)
     else:
-        surface = Surface(arrays.vertices, arrays.triangles, *vertex_attributes(geometry))
+        surface = Content(arrays.vertices, arrays.triangles, *vertex_attributes(geometry))
     for name in ("normals", "colors"):
         values = getattr(surface, name)
         if values is not None and (values.shape != surface.points.shape or not np.isfinite(values).all()):

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._open3d import open3d
@@ -48,9 +49,34 @@ class MeshArrays:
     @property
     def diagonal(self) -> float:
         """Length of the bounding-box diagonal of the vertices that triangles use."""
+        return _diagonal(self.used_vertices)
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Which vertices (v,) triangles use."""
         used = np.zeros(len(self.vertices), dtype=np.bool_)
         used[self.triangles] = True
-        return _diagonal(self.vertices[used])
+        return used
+
+    @property
+    def used_vertices(self) -> Float64Array:
+        """The vertices (u, 3) that triangles use."""
+        used = self.used
+        return self.vertices if used.all() else self.vertices[used]
+
+    @property
+    def gathered_vertices(self) -> Float64Array:
+        """All vertices (v, 3), those that no triangle uses moved onto one that is used.
+
+        An unused vertex may lie anywhere; so it can neither overflow nor widen a box.
+        """
+        used = self.used
+        return self.vertices if used.all() else np.where(used[:, None], self.vertices, self.vertices[used.argmax()])
+
+    def compact(self) -> tuple[MeshArrays, IntArray]:
+        """Return the mesh without the vertices that no triangle uses, and which (u,) of its vertices those left are."""
+        used = self.used
+        return MeshArrays(self.vertices[used], (np.cumsum(used) - 1)[self.triangles]), np.flatnonzero(used)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,11 +10,8 @@ from fsh3d_o3d._validation import Float64Array, IntArray, integer
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.arrays import MeshArrays
 from fsh3d_o3d.geometry.rays import UnitCube
-from fsh3d_o3d.geometry.topology import BoolArray, EdgeTable, components
-
-# A triangle is degenerate when twice its area is below this fraction of its longest edge squared: rounding of float64
-# coordinates near the unit cube's size then leaves no digit of its normal.
-_DEGENERATE = 1e-15
+from fsh3d_o3d.geometry.topology import EdgeTable, components
+from fsh3d_o3d.geometry.triangles import degenerate, even_places, points_at, solid_volume, triangle_areas
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +63,9 @@ def measure_mesh(mesh: MeshArrays) -> MeshMeasures:
     cube, vertices = _unit(mesh)
     corners = vertices[mesh.triangles]
     area, area_centroid = _area(corners)
-    table = EdgeTable(_proper(mesh.triangles))
-    volume, volume_centroid = _volume(corners) if table.balanced else (None, None)
-    used = int(np.count_nonzero(_used(table.triangles, len(vertices))))
+    table = EdgeTable(proper(mesh.triangles))
+    volume, volume_centroid = solid_volume(corners) if table.balanced else (None, None)
+    used = int(np.count_nonzero(np.bincount(table.triangles.ravel())))
     closed = bool((table.faces == 2).all())
     edge_manifold = bool((table.faces <= 2).all())
     vertex_manifold = table.fans() == used
@@ -106,7 +102,12 @@ def weld(mesh: MeshArrays) -> MeshArrays:
     Raises:
         GeometryError: No triangle with three different corners is left.
     """
-    used = _used(mesh.triangles, len(mesh.vertices))
+    return weld_map(mesh)[0]
+
+
+def weld_map(mesh: MeshArrays) -> tuple[MeshArrays, IntArray]:
+    """Return what ``weld`` does, and for each of its vertices (w,) the given one: the first of those merged."""
+    used = mesh.used
     vertices = mesh.vertices[used] + 0.0  # makes −0 and 0 one
     order = np.lexsort(vertices.T)
     ordered = vertices[order]
@@ -118,7 +119,16 @@ def weld(mesh: MeshArrays) -> MeshArrays:
     kept = first == np.arange(len(vertices))
     index = (np.cumsum(kept) - 1)[first]
     place = np.cumsum(used) - 1
-    return MeshArrays(vertices[kept], _proper(index[place[mesh.triangles]]))
+    return MeshArrays(vertices[kept], proper(index[place[mesh.triangles]])), np.flatnonzero(used)[kept]
+
+
+def component_areas(mesh: MeshArrays) -> tuple[IntArray, Float64Array]:
+    """Return the component (t,) each triangle belongs to, and the area of each."""
+    triangles = mesh.triangles
+    number, label = components(triangles.ravel(), triangles[:, (1, 2, 0)].ravel(), len(mesh.vertices))
+    part = label[triangles[:, 0]]
+    area = np.bincount(part, weights=triangle_areas(mesh.vertices[triangles]), minlength=number)
+    return part, area.astype(np.float64, copy=False)
 
 
 def oriented(mesh: MeshArrays) -> MeshArrays | None:
@@ -128,14 +138,14 @@ def oriented(mesh: MeshArrays) -> MeshArrays | None:
     the volume between the surface and the centre of its box comes out negative, which decides for open surfaces too.
     Needs shared vertices (``weld``); None where an edge has more than two triangles.
     """
-    triangles = _proper(mesh.triangles)
+    triangles = proper(mesh.triangles)
     table = EdgeTable(triangles)
     flips = table.flips() if (table.faces <= 2).all() else None
     if flips is None:
         return None
     if flips.any():
         triangles = np.where(flips[:, None], triangles[:, (0, 2, 1)], triangles)
-    if _volume(_unit(mesh)[1][triangles])[0] < 0:
+    if solid_volume(_unit(mesh)[1][triangles])[0] < 0:
         triangles = triangles[:, (0, 2, 1)]
     return mesh if triangles is mesh.triangles else MeshArrays(mesh.vertices, triangles)
 
@@ -150,7 +160,7 @@ def enclosed_volume(mesh: MeshArrays) -> float | None:
             return None
         welded = turned
     cube, vertices = _unit(welded)
-    return abs(_volume(vertices[welded.triangles])[0]) * cube.scale * cube.scale * cube.scale
+    return abs(solid_volume(vertices[welded.triangles])[0]) * cube.scale * cube.scale * cube.scale
 
 
 def area_samples(mesh: MeshArrays, count: int, *, seed: int = 0) -> tuple[Float64Array, IntArray]:
@@ -161,45 +171,26 @@ def area_samples(mesh: MeshArrays, count: int, *, seed: int = 0) -> tuple[Float6
     """
     count = integer(count, "count", minimum=1)
     cube, vertices = _unit(mesh)
-    total = np.cumsum(_double_areas(vertices[mesh.triangles]))
+    total = np.cumsum(triangle_areas(vertices[mesh.triangles]))
     if total[-1] <= 0:
         raise GeometryError("the mesh has no area: all its triangles are degenerate")
     random = np.random.default_rng(integer(seed, "seed", minimum=0))
     share = (np.arange(count) + random.random(count)) / count
     triangle = np.minimum(np.searchsorted(total, share * total[-1], side="right"), len(total) - 1)
-    # The plastic number's powers: the Kronecker sequence of lowest discrepancy known in two dimensions.
-    plastic = 1.324717957244746
-    u, v = np.mod(random.random(2)[:, None] + np.arange(count) / np.array([[plastic], [plastic**2]]), 1.0)
-    over = u + v > 1
-    u, v = np.where(over, 1 - u, u)[:, None], np.where(over, 1 - v, v)[:, None]
-    corners = vertices[mesh.triangles[triangle]]
-    points = corners[:, 0] + u * (corners[:, 1] - corners[:, 0]) + v * (corners[:, 2] - corners[:, 0])
+    places = even_places(np.arange(count), random.random(2)[:, None])
+    points = points_at(vertices[mesh.triangles[triangle]], places)
     return cube.from_unit(points), triangle.astype(np.int64)
-
-
-def degenerate(corners: Float64Array) -> BoolArray:
-    """Return which triangles, given as corners (t, 3, 3) of order one, have no area that float64 can tell from zero."""
-    edges = [corners[:, k] - corners[:, k - 1] for k in range(3)]
-    longest = functools.reduce(np.maximum, (np.einsum("ij,ij->i", edge, edge) for edge in edges))
-    return np.asarray(_double_areas(corners) <= _DEGENERATE * longest)
-
-
-def _used(triangles: IntArray, count: int) -> BoolArray:
-    used = np.zeros(count, dtype=np.bool_)
-    used[triangles] = True
-    return used
 
 
 def _unit(mesh: MeshArrays) -> tuple[UnitCube, Float64Array]:
     """Return the cube about the vertices in use, and all vertices in it (unused ones at the first one in use)."""
-    used = _used(mesh.triangles, len(mesh.vertices))
-    # An unused vertex may lie anywhere; moved onto a used one it can neither overflow nor widen the cube.
-    vertices = mesh.vertices if used.all() else np.where(used[:, None], mesh.vertices, mesh.vertices[used.argmax()])
+    vertices = mesh.gathered_vertices
     cube = UnitCube.around(vertices)
     return cube, cube.to_unit(vertices)
 
 
-def _proper(triangles: IntArray) -> IntArray:
+def proper(triangles: IntArray) -> IntArray:
+    """Return the triangles (t, 3) with three different corners; without any, a ``GeometryError``."""
     repeated = (
         (triangles[:, 0] == triangles[:, 1])
         | (triangles[:, 1] == triangles[:, 2])
@@ -210,27 +201,12 @@ def _proper(triangles: IntArray) -> IntArray:
     return triangles[~repeated] if repeated.any() else triangles
 
 
-def _double_areas(corners: Float64Array) -> Float64Array:
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.asarray(np.sqrt(np.einsum("ij,ij->i", cross, cross)))
-
-
 def _area(corners: Float64Array) -> tuple[float, Float64Array]:
-    weight = _double_areas(corners) / 2
+    weight = triangle_areas(corners)
     area = float(weight.sum())
     if area <= 0:
         raise GeometryError("the mesh has no area: all its triangles are degenerate")
     return area, weight @ corners.mean(axis=1) / area
-
-
-def _volume(corners: Float64Array) -> tuple[float, Float64Array | None]:
-    """Return the sum of the signed tetrahedra over the cube's origin, and the centroid of the solid."""
-    weight = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
-    volume = float(weight.sum())
-    # Below the rounding of the sum the solid is flat and has no centroid of its own.
-    if abs(volume) <= 1e-14 * float(np.abs(weight).sum()):
-        return volume, None
-    return volume, weight @ corners.sum(axis=1) / (4 * volume)
 
 
 def _readonly(array: Float64Array) -> Float64Array:

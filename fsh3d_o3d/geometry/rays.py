@@ -16,6 +16,7 @@ import numpy as np
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
+from fsh3d_o3d.geometry.triangles import triangle_normals
 
 _GRAZING = 1e-4  # in the unit cube: some thousand float32 steps
 _TILT = 1e-6  # radians: some ten float32 steps, enough to leave an edge that a ray slipped through
@@ -53,43 +54,55 @@ class UnitCube:
         return np.asarray(points * self.scale + self.origin)
 
 
+def ray_casting_scene(vertices: Float64Array, triangles: IntArray) -> Any:
+    """Return Open3D's ``RaycastingScene`` of triangles (t, 3) of vertices (v, 3), in float32."""
+    o3d = open3d()
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
+        o3d.core.Tensor(np.ascontiguousarray(triangles, dtype=np.uint32)),
+    )
+    return scene
+
+
+def ray_tensor(origins: Float64Array, directions: Float64Array) -> Any:
+    """Return rays as such a scene takes them, from origins along directions, (n, 3) each or (3,) for all alike."""
+    rays = np.empty((max(np.size(origins), np.size(directions)) // 3, 6), dtype=np.float32)
+    rays[:, :3] = origins
+    rays[:, 3:] = directions
+    return open3d().core.Tensor(rays)
+
+
 class UnitScene:
     """A ray-casting scene of triangles given in the unit cube; keeps the float64 corners beside it."""
 
     def __init__(self, vertices: Float64Array, triangles: IntArray) -> None:
-        o3d = open3d()
         self.vertices = vertices
         self.triangles = triangles
-        self._tensor = o3d.core.Tensor
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(
-            self._tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
-            self._tensor(np.ascontiguousarray(triangles, dtype=np.uint32)),
-        )
+        self._scene = ray_casting_scene(vertices, triangles)
 
     def cast(self, origins: Float64Array, directions: Float64Array) -> tuple[Float64Array, IntArray]:
         """Return how far along each ray (n,) the first hit lies (inf: none) and its triangle (−1: none)."""
-        answer = self._scene.cast_rays(self._rays(origins, directions))
+        answer = self._scene.cast_rays(ray_tensor(origins, directions))
         distance = answer["t_hit"].numpy().astype(np.float64)
         triangle = answer["primitive_ids"].numpy().astype(np.int64)
         return distance, np.where(np.isfinite(distance), triangle, -1)
 
     def count(self, origins: Float64Array, directions: Float64Array) -> IntArray:
         """Return how many times each ray (n,) crosses the surface."""
-        counts: IntArray = self._scene.count_intersections(self._rays(origins, directions)).numpy().astype(np.int64)
+        counts: IntArray = self._scene.count_intersections(ray_tensor(origins, directions)).numpy().astype(np.int64)
         return counts
+
+    def crossings(self, origins: Float64Array, directions: Float64Array) -> tuple[IntArray, IntArray]:
+        """Return every crossing of rays with the surface: the ray (k,) and the triangle (k,)."""
+        answer = self._scene.list_intersections(ray_tensor(origins, directions))
+        return answer["ray_ids"].numpy().astype(np.int64), answer["primitive_ids"].numpy().astype(np.int64)
 
     def closest(self, points: Float64Array) -> IntArray:
         """Return the triangle (n,) closest to each point, as far as float32 can tell."""
-        answer: dict[str, Any] = self._scene.compute_closest_points(self._tensor(points.astype(np.float32)))
+        answer: dict[str, Any] = self._scene.compute_closest_points(open3d().core.Tensor(points.astype(np.float32)))
         closest: IntArray = answer["primitive_ids"].numpy().astype(np.int64)
         return closest
-
-    def _rays(self, origins: Float64Array, directions: Float64Array) -> Any:
-        rays = np.empty((len(directions), 6), dtype=np.float32)
-        rays[:, :3] = origins
-        rays[:, 3:] = directions
-        return self._tensor(rays)
 
     def radii(self, directions: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Return the innermost and outermost distance (n,) from the cube's origin along each direction (NaN: none).
@@ -139,7 +152,7 @@ class UnitScene:
     def _refined(self, directions: Float64Array, distance: Float64Array, triangle: IntArray) -> Float64Array:
         """Return each hit's distance from the float64 plane of its triangle; NaN where there is no hit."""
         corners = self.vertices[self.triangles[np.maximum(triangle, 0)]]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal = triangle_normals(corners)
         along = np.einsum("ij,ij->i", normal, directions)
         with np.errstate(divide="ignore", invalid="ignore"):
             exact = np.einsum("ij,ij->i", normal, corners[:, 0]) / along

@@ -6,6 +6,7 @@ import numpy as np
 
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.geometry.surface import Surface
+from fsh3d_o3d.geometry.triangles import triangle_areas
 
 _MOST_POINTS = 4_000_000
 
@@ -33,7 +34,7 @@ def _cut(corners: Float64Array, edge: Float64Array, spacing: float) -> Float64Ar
     turn = (edge.argmax(axis=1)[:, None] + np.arange(3)) % 3
     first, second, apex = np.take_along_axis(corners, turn[:, :, None], axis=1).transpose(1, 0, 2)
     base = edge.max(axis=1)
-    height = np.linalg.norm(np.cross(second - first, apex - first), axis=1) / base
+    height = 2 * triangle_areas(np.stack((first, second, apex), axis=1)) / base
     while True:
         across, up = (np.maximum(np.ceil(length / spacing), 1) for length in (base, height))
         if (across * up).sum() <= max(_MOST_POINTS, len(base)):

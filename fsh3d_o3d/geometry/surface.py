@@ -12,11 +12,10 @@ from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
 from fsh3d_o3d.geometry.cloud_density import density_corrected
 from fsh3d_o3d.geometry.rays import UnitCube
+from fsh3d_o3d.geometry.triangles import even_places
 
 # Twice a triangle's area is noise where it is below its longest edge times the rounding of its corners.
 _ROUNDING = 4 * np.finfo(np.float64).eps
-# The plastic number's powers: the Kronecker sequence of lowest discrepancy known in two dimensions.
-_PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
 _NO_AREA = "the mesh has no area: all its triangles are degenerate, or too small for their distance from the origin"
 
 
@@ -79,10 +78,7 @@ def surface_of(geometry: MeshArrays | PointArrays, samples: int) -> Surface:
 
 
 def _mesh_surface(mesh: MeshArrays, samples: int) -> Surface:
-    used = np.zeros(len(mesh.vertices), dtype=np.bool_)
-    used[mesh.triangles] = True
-    # An unused vertex may lie anywhere; moved onto a used one it can neither overflow nor widen the cube.
-    vertices = mesh.vertices if used.all() else np.where(used[:, None], mesh.vertices, mesh.vertices[used.argmax()])
+    vertices = mesh.gathered_vertices
     cube = UnitCube.around(vertices)
     # One row a coordinate: gathering and multiplying contiguous rows is several times faster than (t, 3) columns.
     rows = np.ascontiguousarray(cube.to_unit(vertices).T)
@@ -108,8 +104,7 @@ def _mesh_surface(mesh: MeshArrays, samples: int) -> Surface:
     # One sample in each of equal shares of the area, within the triangles by a Kronecker sequence.
     index = np.arange(samples)
     chosen = np.searchsorted(total, (index + 0.5) / samples * total[-1])
-    u, v = np.mod(0.5 + _PLASTIC[:, None] * index, 1.0)
-    u, v = np.where(u + v > 1, (1 - u, 1 - v), (u, v))
+    u, v = even_places(index, 0.5)
     points = np.take(a, chosen, axis=1) - centroid[:, None]
     points += u * np.take(e, chosen, axis=1) + v * np.take(f, chosen, axis=1)
     return Surface(

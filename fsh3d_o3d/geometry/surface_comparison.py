@@ -16,6 +16,7 @@ from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, geometry_arrays
 from fsh3d_o3d.geometry.measures import area_samples, enclosed_volume, weld
 from fsh3d_o3d.geometry.rays import UnitCube, UnitScene
 from fsh3d_o3d.geometry.topology import EdgeTable
+from fsh3d_o3d.geometry.triangles import longest_edges, point_triangle_distance, triangle_normals
 
 _CHUNK = 2**17  # points at a time, for memory
 _STEPS = 8  # to neighbouring triangles, until none is closer
@@ -121,9 +122,7 @@ def vertex_distances(geometry: Any, target: Any) -> Float64Array:
 def _positions(geometry: MeshArrays | PointArrays) -> Float64Array:
     if isinstance(geometry, PointArrays):
         return geometry.points
-    used = np.zeros(len(geometry.vertices), dtype=np.bool_)
-    used[geometry.triangles] = True
-    return geometry.vertices if used.all() else geometry.vertices[used]
+    return geometry.used_vertices
 
 
 def _one_side(
@@ -147,23 +146,21 @@ def _distances(points: Float64Array, target: MeshArrays | PointArrays, cube: Uni
         target = weld(target)  # neighbours are found by shared vertices
     except GeometryError:
         raise GeometryError("the mesh to measure distances to has no area") from None
-    surface = _Surface(cube.to_unit(target.vertices), target.triangles)
+    surface = _DistanceMeter(cube.to_unit(target.vertices), target.triangles)
     parts = [surface.distances(points[start : start + _CHUNK]) for start in range(0, len(points), _CHUNK)]
     return np.concatenate(parts)
 
 
-class _Surface:
+class _DistanceMeter:
     """Triangles in the unit cube, to measure distances to in float64."""
 
     def __init__(self, vertices: Float64Array, triangles: IntArray) -> None:
         self._scene = UnitScene(vertices, triangles)
         self._corners = vertices[triangles]
         self._neighbors = EdgeTable(triangles).neighbors()
-        a, b, c = np.moveaxis(self._corners, 1, 0)
-        normals = np.cross(b - a, c - a)
+        normals = triangle_normals(self._corners)
         area = np.linalg.norm(normals, axis=1)
-        longest = np.max([np.einsum("ij,ij->i", edge, edge) for edge in (b - a, c - b, a - c)], axis=0)
-        self._thin = bool(np.any(longest > _THIN * area))
+        self._thin = bool(np.any(longest_edges(self._corners) > _THIN * area))
         self._normals = normals / np.where(area > 0, area, 1.0)[:, None]
 
     def distances(self, points: Float64Array) -> Float64Array:
@@ -206,29 +203,6 @@ def _keep_better(
     better = (triangles >= 0) & (distance < best[which])
     closest[which[better]], best[which[better]] = triangles[better], distance[better]
     return np.asarray(better)
-
-
-def point_triangle_distance(points: Float64Array, corners: Float64Array) -> Float64Array:
-    """Return the distance (n,) from each point (n, 3) to its triangle (n, 3, 3), flat triangles included."""
-    a, b, c = np.moveaxis(corners - points[:, None], 1, 0)  # seen from the point: no digits lost to its position
-    squared = np.minimum(np.minimum(_segment(a, b), _segment(b, c)), _segment(c, a))
-    normal = np.cross(b - a, c - a)
-    length = np.einsum("ij,ij->i", normal, normal)
-    inside = length > 0
-    for one, other in ((a, b), (b, c), (c, a)):
-        inside &= np.einsum("ij,ij->i", np.cross(one, other), normal) >= 0
-    height = np.einsum("ij,ij->i", a, normal)
-    plane = np.square(height) / np.where(inside, length, 1.0)
-    return np.asarray(np.sqrt(np.where(inside, np.minimum(plane, squared), squared)))
-
-
-def _segment(start: Float64Array, end: Float64Array) -> Float64Array:
-    """Return the squared distance from the origin to segments."""
-    along = end - start
-    length = np.einsum("ij,ij->i", along, along)
-    place = np.clip(-np.einsum("ij,ij->i", start, along) / np.where(length > 0, length, 1.0), 0, 1)
-    closest = start + place[:, None] * along
-    return np.asarray(np.einsum("ij,ij->i", closest, closest))
 
 
 def _volume_error(original: MeshArrays, reconstruction: MeshArrays) -> float | None:

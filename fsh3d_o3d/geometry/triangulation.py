@@ -9,6 +9,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from fsh3d_o3d._validation import Float64Array, IntArray, integer
 from fsh3d_o3d._validation import directions as checked_directions
+from fsh3d_o3d.geometry.triangles import triangle_normals
 from fsh3d_o3d.sphere import icosphere
 
 __all__ = ["fibonacci_triangulation", "icosphere", "sphere_mesh"]
@@ -64,8 +65,8 @@ def sphere_mesh(resolution: int | Float64Array) -> tuple[Float64Array, IntArray]
 
 
 def _outward(points: Float64Array, triangles: IntArray) -> IntArray:
-    a, b, c = np.moveaxis(points[triangles], 1, 0)
-    inward = np.einsum("ij,ij->i", a, np.cross(b - a, c - a)) < 0
+    corners = points[triangles]
+    inward = np.einsum("ij,ij->i", corners[:, 0], triangle_normals(corners)) < 0
     return np.ascontiguousarray(np.where(inward[:, None], triangles[:, (0, 2, 1)], triangles))
 
 

@@ -99,9 +99,7 @@ def sample_radial(
     number(hidden, "hidden", minimum=0, maximum=1)
     number(fillable, "fillable", minimum=0, maximum=1)
     number(same, "same", minimum=0, maximum=1)
-    used = np.zeros(len(mesh.vertices), dtype=np.bool_)
-    used[mesh.triangles] = True
-    vertices = mesh.vertices if used.all() else np.where(used[:, None], mesh.vertices, mesh.vertices[used.argmax()])
+    vertices = mesh.gathered_vertices
     cube = UnitCube.around(vertices, center=middle)
     scene = UnitScene(cube.to_unit(vertices), mesh.triangles)
     near, far = scene.radii(rays)

@@ -9,7 +9,7 @@ import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, point
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry import EdgeTable, MeshArrays, UnitCube, UnitScene, area_samples, oriented, weld
+from fsh3d_o3d.geometry import EdgeTable, MeshArrays, UnitCube, UnitScene, area_samples, oriented, solid_volume, weld
 from fsh3d_o3d.radial.star_kernel import FacePlanes, kernel_center
 from fsh3d_o3d.sphere import fibonacci_grid
 
@@ -60,7 +60,7 @@ def star_report(mesh: MeshArrays, center: Float64Array) -> StarReport:
         ValueError: The centre is not a finite (3,) vector.
         GeometryError: The mesh has no extent or no area.
     """
-    return _Surface(mesh).report(point(center, "center"), None)
+    return _StarTests(mesh).report(point(center, "center"), None)
 
 
 def star_center(mesh: MeshArrays, method: Literal["best", "centroid"] | Float64Array = "best") -> StarReport:
@@ -80,7 +80,7 @@ def star_center(mesh: MeshArrays, method: Literal["best", "centroid"] | Float64A
     """
     if not isinstance(method, str):
         return star_report(mesh, method)
-    surface = _Surface(mesh)
+    surface = _StarTests(mesh)
     if method == "centroid":
         return surface.report(surface.cube.from_unit(surface.centroids()[0]), None)
     if method != "best":
@@ -90,11 +90,11 @@ def star_center(mesh: MeshArrays, method: Literal["best", "centroid"] | Float64A
 
 def visible_area(mesh: MeshArrays, center: Float64Array) -> float:
     """Return the fraction of a mesh's area that straight lines from ``center`` (3,) reach."""
-    surface = _Surface(mesh)
+    surface = _StarTests(mesh)
     return float(surface.visible(surface.cube.to_unit(point(center, "center"))[None], _SAMPLES)[0])
 
 
-class _Surface:
+class _StarTests:
     """A mesh in the unit cube, with what the tests share: scene, face planes, area samples."""
 
     def __init__(self, mesh: MeshArrays) -> None:
@@ -151,11 +151,9 @@ class _Surface:
     def centroids(self) -> list[Float64Array]:
         """Return the centroid of the enclosed volume, if there is one, and that of the surface."""
         corners = self.unit.vertices[self.unit.triangles]
-        weight = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
         surface = self.planes.area @ corners.mean(axis=1) / self.planes.area.sum()
-        if not self.closed or weight.sum() <= 1e-12 * np.abs(weight).sum():
-            return [surface]
-        return [weight @ corners.sum(axis=1) / (4 * weight.sum()), surface]
+        volume, solid = solid_volume(corners) if self.closed else (0.0, None)
+        return [surface] if solid is None or volume <= 0 else [solid, surface]
 
     def best(self) -> StarReport:
         """Return the report on the kernel's centre, or on the point that sees most area."""

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry import degenerate
+from fsh3d_o3d.geometry import degenerate, triangle_normals
 
 _START = 256  # faces in the first linear programme, spread over the mesh; a choice
 _ADDED = 256  # violated faces that each round adds
@@ -31,7 +31,7 @@ class FacePlanes:
     @classmethod
     def of(cls, corners: Float64Array) -> FacePlanes:
         """Return the planes of triangles (t, 3, 3)."""
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        cross = triangle_normals(corners)
         length = np.sqrt(np.einsum("ij,ij->i", cross, cross))
         flat = degenerate(corners)
         normals = np.where(flat[:, None], 0.0, cross / np.where(flat, 1.0, length)[:, None])

@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter
 
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d.geometry import ray_casting_scene, ray_tensor, triangle_normals
 from fsh3d_o3d.report.shading import Fragments, facing
 from fsh3d_o3d.report.view import Raster
 
@@ -41,23 +42,17 @@ def mesh_fragments(
         colors: (v, 3) or (1, 3) sRGB.
         occlusion: Whether nearby surface shuts out light.
     """
-    o3d = open3d()
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
-        o3d.core.Tensor(np.ascontiguousarray(triangles, dtype=np.uint32)),
-    )
+    scene = ray_casting_scene(vertices, triangles)
     above = max(2.0, float(vertices[:, 2].max()) + 1)  # the view may be fitted to another, smaller geometry
     start = np.column_stack((raster.centers(), np.full(raster.width * raster.height, above)))
-    answer = scene.cast_rays(_rays(start, np.array([0.0, 0.0, -1.0])))
+    answer = scene.cast_rays(ray_tensor(start, np.array([0.0, 0.0, -1.0])))
     distance = answer["t_hit"].numpy()
     pixel = np.flatnonzero(np.isfinite(distance))
     corner = triangles[answer["primitive_ids"].numpy()[pixel].astype(np.int64)]
     uv = answer["primitive_uvs"].numpy()[pixel].astype(np.float64)
     share = np.column_stack((1 - uv.sum(axis=1), uv))
 
-    flat = np.cross(vertices[corner[:, 1]] - vertices[corner[:, 0]], vertices[corner[:, 2]] - vertices[corner[:, 0]])
-    flat = facing(unit(flat))
+    flat = facing(unit(triangle_normals(vertices[corner])))
     normal = flat
     if normals is not None:
         smooth = unit(np.einsum("kc,kcd->kd", share, normals[corner]))
@@ -114,7 +109,7 @@ def _openness(scene: Any, place: Float64Array, normal: Float64Array, pixel: IntA
     open_rays = np.zeros(len(pixel))
     for ray in range(_RAYS):
         towards = unit(normal + 0.999 * offsets[share + _TILE**2 * ray])  # cosine-distributed; never of length zero
-        hit = scene.test_occlusions(_rays(start, towards), tnear=0.0, tfar=_REACH)
+        hit = scene.test_occlusions(ray_tensor(start, towards), tnear=0.0, tfar=_REACH)
         open_rays += ~hit.numpy()
     image, seen = np.zeros((2, raster.height * raster.width))
     image[pixel], seen[pixel] = open_rays / _RAYS, 1
@@ -138,12 +133,6 @@ def estimated_normals(points: Float64Array) -> Float64Array:
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(min(_NEIGHBOURS, len(points))))
     return unit(np.asarray(cloud.normals))
-
-
-def _rays(start: Float64Array, towards: Float64Array) -> Any:
-    rays = np.empty((len(start), 6), dtype=np.float32)
-    rays[:, :3], rays[:, 3:] = start, towards
-    return open3d().core.Tensor(rays)
 
 
 def unit(vectors: Float64Array) -> Float64Array:

@@ -93,6 +93,4 @@ def positions(geometry: MeshArrays | PointArrays) -> Float64Array:
     """Return the points, or the vertices that triangles use, (n, 3)."""
     if isinstance(geometry, PointArrays):
         return geometry.points
-    used = np.zeros(len(geometry.vertices), dtype=np.bool_)
-    used[geometry.triangles] = True
-    return geometry.vertices if used.all() else geometry.vertices[used]
+    return geometry.used_vertices

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry import MeshArrays, fibonacci_triangulation, sphere_mesh
+from fsh3d_o3d.geometry import MeshArrays, fibonacci_triangulation, sphere_mesh, triangle_normals
 from fsh3d_o3d.sphere import SphericalGrid, SphericalHarmonicTransform, evaluate, evaluate_gradient, fibonacci_grid
 
 Triangulation = Literal["icosphere", "fibonacci"]
@@ -90,7 +90,7 @@ def interpolation(mesh: MeshArrays, points: Float64Array, triangle: IntArray) ->
     """Return the matrix (m, v) that interpolates vertex values linearly at points (m, 3) on their triangles (m,)."""
     corners = mesh.triangles[triangle]
     a, b, c = (mesh.vertices[corners[:, k]] - points for k in range(3))
-    normal = np.cross(b - a, c - a)
+    normal = triangle_normals(mesh.vertices[corners])
     weights = np.stack([np.einsum("ij,ij->i", np.cross(u, v), normal) for u, v in ((b, c), (c, a), (a, b))], axis=1)
     weights = np.maximum(weights / np.einsum("ij,ij->i", normal, normal)[:, None], 0)
     weights /= weights.sum(axis=1, keepdims=True)

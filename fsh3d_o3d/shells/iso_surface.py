@@ -8,7 +8,7 @@ from scipy.ndimage import map_coordinates
 from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry import EdgeTable, MeshArrays, components
+from fsh3d_o3d.geometry import EdgeTable, MeshArrays, component_areas
 
 # Of the field's usual change across a cell. Values closer to zero are moved this far from it, on their side, so that no
 # vertex falls onto a corner of the grid, where triangles would collapse.
@@ -53,14 +53,10 @@ def zero_surface(values: Float64Array) -> tuple[MeshArrays, Float64Array]:
 
 def without_specks(mesh: MeshArrays, normals: Float64Array, smallest: float) -> tuple[MeshArrays, Float64Array]:
     """Return the mesh without the components whose share of its area is below ``smallest``; the largest stays."""
-    triangles = mesh.triangles
-    label = components(triangles.ravel(), triangles[:, (1, 2, 0)].ravel(), len(mesh.vertices))[1][triangles[:, 0]]
-    first, second, third = (mesh.vertices[triangles[:, k]] for k in range(3))
-    area = np.bincount(label, weights=np.linalg.norm(np.cross(second - first, third - first), axis=1))
-    kept = triangles[(area >= min(smallest * area.sum(), area.max()))[label]]
-    used = np.zeros(len(mesh.vertices), dtype=np.bool_)
-    used[kept] = True
-    return MeshArrays(mesh.vertices[used], (np.cumsum(used) - 1)[kept]), normals[used]
+    part, area = component_areas(mesh)
+    kept = (area >= min(smallest * area.sum(), area.max()))[part]
+    result, source = MeshArrays(mesh.vertices, mesh.triangles[kept]).compact()
+    return result, normals[source]
 
 
 def _is_manifold(mesh: MeshArrays) -> bool:

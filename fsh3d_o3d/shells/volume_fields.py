@@ -24,6 +24,8 @@ from fsh3d_o3d.geometry import (
     measure_mesh,
     open3d_point_cloud,
     point_triangle_distance,
+    triangle_areas,
+    triangle_normals,
     weld,
 )
 from fsh3d_o3d.shells.winding_number import Solid, inside, solid_of
@@ -183,19 +185,18 @@ def _width(field: FieldName, width: float | None) -> float:
 
 
 def _require_area(vertices: Float64Array, triangles: IntArray) -> None:
-    first, second, third = (vertices[triangles[:, k]] for k in range(3))
     # Of order one: below this the triangles are thinner than float64 tells from lines.
-    if np.linalg.norm(np.cross(second - first, third - first), axis=1).sum() <= 1e-14:
+    if triangle_areas(vertices[triangles]).sum() <= 5e-15:
         raise GeometryError("the mesh has no area: all its triangles are degenerate")
 
 
 def _require_inside(solid: Solid) -> None:
     """Refuse surfaces with nothing behind their triangles: sheets and scattered triangles."""
-    first, second, third = (solid.vertices[solid.triangles[:, k]] for k in range(3))
-    normals = np.cross(second - first, third - first)
+    corners = solid.vertices[solid.triangles]
+    normals = triangle_normals(corners)
     area = np.linalg.norm(normals, axis=1)
     some = np.argsort(-area, kind="stable")[:4096]
-    middle = (first[some] + second[some] + third[some]) / 3
+    middle = corners[some].sum(axis=1) / 3
     probes = middle - 1e-3 * normals[some] / np.maximum(area[some], 1e-300)[:, None]
     if not inside(solid, probes).any():
         raise GeometryError(

@@ -15,9 +15,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry import BoolArray, EdgeTable, UnitScene, components
+from fsh3d_o3d.geometry import (
+    BoolArray,
+    EdgeTable,
+    UnitScene,
+    components,
+    even_places,
+    points_at,
+    triangle_areas,
+    triangle_normals,
+)
 from fsh3d_o3d.sphere import fibonacci_grid
 
 _FAN_SHARE = 0.25  # of a patch's area: larger openings are the shape's own
@@ -54,43 +62,25 @@ def solid_of(vertices: Float64Array, triangles: IntArray) -> Solid:
 
 def inside(solid: Solid, points: Float64Array) -> BoolArray:
     """Return which points (n, 3) of the unit cube have a winding number above one half."""
-    scene = _CrossingScene(solid)
+    scene, normals = UnitScene(solid.vertices, solid.triangles), triangle_normals(solid.vertices[solid.triangles])
     votes = _CLOSED_VOTES if solid.closed else _OPEN_VOTES
     # The poles of the grid look along no axis: rays along an axis graze the faces of boxes.
     directions = fibonacci_grid(votes).directions @ _tilt()
     result = np.empty(len(points), dtype=np.bool_)
     for start in range(0, len(points), _CHUNK):
         part = points[start : start + _CHUNK]
-        counts = np.stack([scene.winding(part, direction) for direction in directions])
+        counts = np.stack([_winding(scene, normals, part, direction) for direction in directions])
         # A ray through an edge may count it twice or not at all; where all should agree the median forgives one.
         number = np.median(counts, axis=0) if solid.closed else counts.mean(axis=0)
         result[start : start + _CHUNK] = number > 0.5
     return result
 
 
-class _CrossingScene:
-    """Signed crossings of rays with the triangles of a solid."""
-
-    def __init__(self, solid: Solid) -> None:
-        o3d = open3d()
-        self._tensor = o3d.core.Tensor
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(
-            self._tensor(np.ascontiguousarray(solid.vertices, dtype=np.float32)),
-            self._tensor(np.ascontiguousarray(solid.triangles, dtype=np.uint32)),
-        )
-        self._normals = _normals(solid.vertices, solid.triangles)
-
-    def winding(self, points: Float64Array, direction: Float64Array) -> Float64Array:
-        """Return how often the surface is left minus entered along a ray from each point, (n,)."""
-        rays = np.empty((len(points), 6), dtype=np.float32)
-        rays[:, :3] = points
-        rays[:, 3:] = direction
-        answer = self._scene.list_intersections(self._tensor(rays))
-        sign = np.sign(self._normals @ direction)
-        met = answer["ray_ids"].numpy().astype(np.int64)
-        triangle = answer["primitive_ids"].numpy().astype(np.int64)
-        return np.asarray(np.bincount(met, weights=sign[triangle], minlength=len(points)), dtype=np.float64)
+def _winding(scene: UnitScene, normals: Float64Array, points: Float64Array, direction: Float64Array) -> Float64Array:
+    """Return how often the surface is left minus entered along a ray from each point, (n,)."""
+    ray, triangle = scene.crossings(points, direction)
+    weights = np.sign(normals @ direction)[triangle]
+    return np.bincount(ray, weights=weights, minlength=len(points)).astype(np.float64, copy=False)
 
 
 def _patches(table: EdgeTable) -> tuple[IntArray, BoolArray]:
@@ -117,7 +107,7 @@ def _patches(table: EdgeTable) -> tuple[IntArray, BoolArray]:
 def _seen_from_behind(vertices: Float64Array, triangles: IntArray, patch: IntArray) -> BoolArray:
     """Which patches (p,) let more rays escape from their backs than from their fronts."""
     scene = UnitScene(vertices, triangles)
-    normals = _normals(vertices, triangles)
+    normals = triangle_normals(vertices[triangles])
     area = np.linalg.norm(normals, axis=1)
     normals = normals / np.maximum(area, 1e-300)[:, None]
     each = int(np.clip(_ORIENTATION_RAYS // len(triangles), 1, _MOST_RAYS))
@@ -125,12 +115,7 @@ def _seen_from_behind(vertices: Float64Array, triangles: IntArray, patch: IntArr
     number = np.arange(len(owner))
     directions = fibonacci_grid(4096).directions[(number * 1597) % 4096]  # coprime: neighbours look far apart
     directions *= np.where(np.einsum("ij,ij->i", directions, normals[owner]) < 0, -1.0, 1.0)[:, None]
-    # Kronecker sequences with the powers of the plastic number, folded into the triangle.
-    u, v = np.mod(np.outer((0.7548776662466927, 0.5698402909980532), number + 0.5), 1.0)
-    over = u + v > 1
-    u, v = np.where(over, 1 - u, u)[:, None], np.where(over, 1 - v, v)[:, None]
-    first, second, third = (vertices[triangles[owner, k]] for k in range(3))
-    start = first + u * (second - first) + v * (third - first)
+    start = points_at(vertices[triangles[owner]], even_places(number + 0.5))
     lift = _RAY_OFFSET * normals[owner]
     front = np.isinf(scene.cast(start + lift, directions)[0])
     back = np.isinf(scene.cast(start - lift, -directions)[0])
@@ -151,8 +136,8 @@ def _with_fans(vertices: Float64Array, triangles: IntArray, patch: IntArray) -> 
     total = np.bincount(loop, weights=length)
     middle = (vertices[start] + vertices[end]) / 2
     tips = np.stack([np.bincount(loop, weights=length * middle[:, k]) / total for k in range(3)], axis=1)
-    fan = np.linalg.norm(np.cross(vertices[start] - tips[loop], vertices[end] - tips[loop]), axis=1)
-    patch_area = np.bincount(patch, weights=np.linalg.norm(_normals(vertices, triangles), axis=1))
+    fan = 2 * triangle_areas(np.stack((tips[loop], vertices[start], vertices[end]), axis=1))
+    patch_area = np.bincount(patch, weights=2 * triangle_areas(vertices[triangles]))
     # A loop may run along several patches; the largest counts.
     largest = np.zeros(len(total))
     np.maximum.at(largest, loop, patch_area[patch[border // 3]])
@@ -165,14 +150,9 @@ def _turned(triangles: IntArray, flips: NDArray[np.bool_]) -> IntArray:
     return np.where(flips[:, None], triangles[:, (0, 2, 1)], triangles)
 
 
-def _normals(vertices: Float64Array, triangles: IntArray) -> Float64Array:
-    first, second, third = (vertices[triangles[:, k]] for k in range(3))
-    return np.cross(second - first, third - first)
-
-
 def _volumes(vertices: Float64Array, triangles: IntArray, patch: IntArray) -> Float64Array:
     """Signed volume (p,) of each patch, times six."""
-    triple_products = np.einsum("ij,ij->i", vertices[triangles[:, 0]], _normals(vertices, triangles))
+    triple_products = np.einsum("ij,ij->i", vertices[triangles[:, 0]], triangle_normals(vertices[triangles]))
     return np.asarray(np.bincount(patch, weights=triple_products), dtype=np.float64)
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d.geometry import triangle_normals
 from fsh3d_o3d.sphere_map.validity import cross
 
 _FLATTEST = 1e-2  # height over longest edge: flatter source triangles count as this flat, which no σ₁/σ₂ then notices
@@ -192,7 +193,7 @@ def balance_energy(
     start = np.argmax(squared, axis=1)
     turned = np.take_along_axis(triangles, (start[:, None] + np.arange(3)) % 3, axis=1)
     a, b, c = np.moveaxis(vertices[turned], 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    area = np.linalg.norm(triangle_normals(vertices[turned]), axis=1) / 2
     unit = np.sqrt(area.sum() / (4 * np.pi))
     area = area / unit**2
     floor = _SMALLEST * 4 * np.pi / len(area)

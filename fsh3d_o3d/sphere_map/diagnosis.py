@@ -8,7 +8,7 @@ import numpy as np
 
 from fsh3d_o3d._validation import IntArray
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry import EdgeTable, MeshArrays, MeshMeasures, measure_mesh, oriented, weld
+from fsh3d_o3d.geometry import EdgeTable, MeshArrays, MeshMeasures, measure_mesh, oriented, proper, weld_map
 
 __all__ = ["mapping_obstacles"]
 
@@ -54,39 +54,18 @@ def closed_surface(mesh: MeshArrays) -> ClosedSurface:
 
 
 def _closed_surface(mesh: MeshArrays) -> ClosedSurface | tuple[str, ...]:
-    welded, source = _welded(mesh)
+    welded, source = weld_map(mesh)
+    welded, kept = welded.compact()  # vertices of triangles that collapsed may be left over
+    source = source[kept]
     measures = _measured(welded)
     if measures.genus == 0:
         return ClosedSurface(_outward(welded, measures), source)
-    source = np.unique(mesh.triangles)
-    if len(source) > len(welded.vertices):  # there was something to weld: without, it may hold together
-        repeated = (np.diff(np.sort(mesh.triangles, axis=1), axis=1) == 0).any(axis=1)
-        triangles = mesh.triangles[~repeated]
-        source = np.unique(triangles)
-        compact = MeshArrays(mesh.vertices[source], np.searchsorted(source, triangles))
+    if np.count_nonzero(mesh.used) > len(welded.vertices):  # there was something to weld: without, it may hold together
+        compact, source = MeshArrays(mesh.vertices, proper(mesh.triangles)).compact()
         as_indexed = _measured(compact)
         if as_indexed.genus == 0:
             return ClosedSurface(_outward(compact, as_indexed), source)
     return _obstacles(welded, measures)
-
-
-def _welded(mesh: MeshArrays) -> tuple[MeshArrays, IntArray]:
-    welded = weld(mesh)
-    source = np.unique(mesh.triangles)
-    if len(source) > len(welded.vertices):
-        # weld keeps the first of each group of equal vertices, in their order.
-        vertices = mesh.vertices[source] + 0.0
-        order = np.lexsort(vertices.T)
-        ordered = vertices[order]
-        first = np.concatenate(([True], (ordered[1:] != ordered[:-1]).any(axis=1)))
-        kept = np.sort(order[first])
-        # Vertices of triangles that collapsed may be left over, unused.
-        source = source[kept]
-    used = np.unique(welded.triangles)
-    if len(used) < len(welded.vertices):
-        welded = MeshArrays(welded.vertices[used], np.searchsorted(used, welded.triangles))
-        source = source[used]
-    return welded, source
 
 
 def _measured(mesh: MeshArrays) -> MeshMeasures:

@@ -20,6 +20,7 @@ from itertools import combinations
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d.geometry import triangle_normals
 from fsh3d_o3d.sphere_map import relaxation as _relaxation
 from fsh3d_o3d.sphere_map.hierarchy import Stars, build_hierarchy
 from fsh3d_o3d.sphere_map.validity import orientations
@@ -82,10 +83,9 @@ def place(stars: Stars, sphere: Float64Array) -> Float64Array:
         ring = sphere[stars.rings[start : start + size]]
         normals = np.cross(ring, np.roll(ring, -1, axis=1) - ring)
         normals /= np.sqrt(np.einsum("mdx,mdx->md", normals, normals))[..., None] + 1e-300
-        a, b, c = (normals[:, triples[:, k]] for k in range(3))
         # The point equally far from three planes, on the side of its own normals; of two, their bisector.
-        apex = np.cross(b - a, c - a)
-        apex *= np.sign(np.einsum("mkx,mkx->mk", apex, a))[..., None]
+        apex = triangle_normals(normals[:, triples])
+        apex *= np.sign(np.einsum("mkx,mkx->mk", apex, normals[:, triples[:, 0]]))[..., None]
         candidates = np.concatenate((normals[:, pairs[:, 0]] + normals[:, pairs[:, 1]], apex), axis=1)
         candidates /= np.sqrt(np.einsum("mkx,mkx->mk", candidates, candidates))[..., None] + 1e-300
         depth = np.matmul(candidates, normals.transpose(0, 2, 1)).min(axis=2)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry import BoolArray
+from fsh3d_o3d.geometry import BoolArray, triangle_normals
 
 _DEGREE = 9  # removable at most; a sphere's mean degree is below 6, so 4/7 of the vertices qualify at any time
 _CHEAPEST = 0.6  # the share of those that a round may touch: the rest is what gives the surface its shape
@@ -239,11 +239,11 @@ def _quadrics(points: Float64Array, triangles: IntArray) -> Float64Array:
 
     Coefficients of x², y², z², xy, yz, zx, x, y, z, 1; distances to the planes plus a little of those to the vertex.
     """
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    cross = np.cross(b - a, c - a)
+    corners = points[triangles]
+    cross = triangle_normals(corners)
     area = np.sqrt(np.einsum("ij,ij->i", cross, cross)) / 2
     n = cross / (2 * area + 1e-300)[:, None]
-    offset = -np.einsum("ij,ij->i", n, a)
+    offset = -np.einsum("ij,ij->i", n, corners[:, 0])
     plane = np.column_stack((n * n, 2 * n * n[:, (1, 2, 0)], 2 * offset[:, None] * n, offset * offset)) * area[:, None]
     total = np.zeros((len(points), 10))
     mass = np.zeros(len(points))

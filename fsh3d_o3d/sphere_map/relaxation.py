@@ -38,7 +38,7 @@ _SINGULAR = 1e-14  # smallest determinant of a 2 × 2 system, over the product o
 
 
 @dataclass(frozen=True, eq=False)
-class _Surface:
+class _TriangleMetrics:
     """What the energy needs to know of the surface's triangles."""
 
     triangles: IntArray
@@ -49,7 +49,7 @@ class _Surface:
     """(3, t) weights of the image's squared edges opposite each corner, which sum up to mass × Dirichlet energy."""
 
     @classmethod
-    def of(cls, vertices: Float64Array, triangles: IntArray) -> _Surface:
+    def of(cls, vertices: Float64Array, triangles: IntArray) -> _TriangleMetrics:
         """Measure a level's triangles; those that are thin count as thicker than they are."""
         _, u, v = edge_vectors(vertices, triangles)
         normal = cross(u, v)
@@ -88,7 +88,7 @@ def relax(
     Returns:
         (n, 3) unit vectors, every triangle positively oriented.
     """
-    surface = _Surface.of(vertices, triangles)
+    surface = _TriangleMetrics.of(vertices, triangles)
     determinants = orientations(sphere, triangles)
     for _ in range(steps):
         move = _newton_move(surface, sphere, determinants, area_weight)
@@ -97,7 +97,7 @@ def relax(
 
 
 def _newton_move(
-    surface: _Surface, sphere: Float64Array, determinants: Float64Array, area_weight: float
+    surface: _TriangleMetrics, sphere: Float64Array, determinants: Float64Array, area_weight: float
 ) -> Float64Array:
     """Return each vertex' damped Newton step (n, 3) in its tangent plane."""
     count, triangles = len(sphere), surface.triangles

@@ -110,7 +110,7 @@ def test_open3d_reads_the_clouds(suffix, tmp_path):
 def test_stl_normals_point_outward_whatever_the_scale(tmp_path):
     for scale in (1e-30, 1.0, 1e30):
         mesh = MeshArrays(mutations.VERTICES * scale, mutations.TRIANGLES)
-        data = serialise.stl_bytes(serialise.Surface(mesh.vertices, mesh.triangles, None, None))
+        data = serialise.stl_bytes(serialise.Content(mesh.vertices, mesh.triangles, None, None))
         facets = np.frombuffer(data, dtype=[("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")], offset=84)
         sides = np.diff(mutations.VERTICES[mutations.TRIANGLES], axis=1)
         expected = np.cross(sides[:, 0], sides[:, 1])
@@ -122,7 +122,7 @@ def test_stl_normals_point_outward_whatever_the_scale(tmp_path):
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=3, max_size=30))
 def test_text_keeps_every_bit(values):
     points = np.array(values[: len(values) // 3 * 3]).reshape(-1, 3)
-    text = serialise.xyz_bytes(serialise.Surface(points, None, None, None)).decode()
+    text = serialise.xyz_bytes(serialise.Content(points, None, None, None)).decode()
     np.testing.assert_array_equal([[float(word) for word in line.split()] for line in text.splitlines()], points)
 
 

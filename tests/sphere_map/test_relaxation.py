@@ -65,7 +65,7 @@ def test_one_vertex_moves_down_the_gradient(rng, monkeypatch):
     sphere, triangles = surfaces.ball(3)
     vertices = sphere * (1.0, 1.2, 0.9)
     points = jittered(rng, sphere, triangles, 0.03)
-    surface = relaxation._Surface.of(vertices, triangles)
+    surface = relaxation._TriangleMetrics.of(vertices, triangles)
     move = relaxation._newton_move(surface, points, orientations(points, triangles), 2.0)
     # Along each vertex' own Newton step its energy falls at first: the slope, by central differences.
     for vertex in range(0, len(points), 7):

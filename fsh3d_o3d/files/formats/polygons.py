@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.files.formats.source import Source
-from fsh3d_o3d.geometry import triangulate
+from fsh3d_o3d.geometry import triangle_normals, triangulate
 
 # Of a polygon's area: a smaller fold comes from rounding in single precision, not from a concave corner.
 _FOLD_TOLERANCE = 1e-6
@@ -92,7 +92,7 @@ def _folded(
     positions: Float64Array, triangles: IntArray, fans: IntArray, tolerance: float
 ) -> tuple[IntArray, Float64Array]:
     """Return which polygons have triangles that face against their normal, and the normals (f, 3) of those."""
-    areas = _vector_areas(positions, triangles)
+    areas = triangle_normals(positions[triangles])
     first = np.cumsum(fans) - fans
     normals = np.add.reduceat(areas, first, axis=0)
     against = np.minimum(_dot(areas, np.repeat(normals, fans, axis=0)), 0)
@@ -151,17 +151,6 @@ def _covered(plane: Float64Array, triangles: IntArray, first: IntArray) -> Float
     a, b, c = (plane[triangles[:, corner]] for corner in range(3))
     u, v = b - a, c - a
     return cast(Float64Array, np.add.reduceat(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]), first))
-
-
-def _vector_areas(positions: Float64Array, triangles: IntArray) -> Float64Array:
-    """Return twice the areas (t, 3) of triangles, as vectors along their normals."""
-    a, b, c = (positions[triangles[:, corner]] for corner in range(3))
-    u, v = b - a, c - a
-    areas = np.empty_like(u)
-    for axis in range(3):
-        y, z = (axis + 1) % 3, (axis + 2) % 3
-        np.subtract(u[:, y] * v[:, z], u[:, z] * v[:, y], out=areas[:, axis])
-    return areas
 
 
 def _dot(u: Float64Array, v: Float64Array) -> Float64Array:
