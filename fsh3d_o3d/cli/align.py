@@ -6,14 +6,12 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.cli.console import Progress, print_json, say
 from fsh3d_o3d.cli.targets import checked_targets
 from fsh3d_o3d.files import WRITABLE_CLOUD_FORMATS, WRITABLE_MESH_FORMATS, read_geometry_arrays, write_geometry
-from fsh3d_o3d.geometry import MeshArrays, PointArrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, transformed
 from fsh3d_o3d.registration import SphericalRegistrationOption, SphericalRegistrationResult, registration_spherical
 
 _WHOLE = 0.9  # of the source near the target; less is another shape, or a part
@@ -84,17 +82,6 @@ def run(options: argparse.Namespace) -> int:
     else:
         say(*_summary(options, result, targets))
     return 0
-
-
-def transformed(geometry: MeshArrays | PointArrays, transformation: Float64Array) -> MeshArrays | PointArrays:
-    """Return a geometry under a similarity (4, 4); normals turn with it, and a mirrored mesh still faces outward."""
-    linear, shift = transformation[:3, :3], transformation[:3, 3]
-    determinant = float(np.linalg.det(linear))
-    if isinstance(geometry, MeshArrays):
-        triangles = geometry.triangles[:, ::-1] if determinant < 0 else geometry.triangles
-        return MeshArrays(geometry.vertices @ linear.T + shift, triangles)
-    turned = None if geometry.normals is None else geometry.normals @ (linear / np.cbrt(abs(determinant))).T
-    return PointArrays(geometry.points @ linear.T + shift, turned, geometry.colors)
 
 
 def _check_format(output: str, source: MeshArrays | PointArrays) -> None:

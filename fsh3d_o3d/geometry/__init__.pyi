@@ -24,6 +24,7 @@ from .rays import ray_casting_scene as ray_casting_scene
 from .rays import ray_tensor as ray_tensor
 from .repair import repair_mesh as repair_mesh
 from .sampling import surface_points as surface_points
+from .similarity import transformed as transformed
 from .surface import Surface as Surface
 from .surface import surface_of as surface_of
 from .surface_comparison import SurfaceError as SurfaceError

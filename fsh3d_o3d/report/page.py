@@ -17,11 +17,10 @@ from fsh3d_o3d.report.display import Displayed, common_cube, displayed, geometry
 from fsh3d_o3d.report.figures import FigureValue, figure_rows
 from fsh3d_o3d.report.html import write_page
 from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail, side_by_side
-from fsh3d_o3d.report.view import DEFAULT_DIRECTION
+from fsh3d_o3d.report.view import TOWARDS_VIEWER, camera_eye, xyz
 
 __all__ = ["reconstruction_picture", "write_reconstruction_page"]
 
-_FIELD = math.radians(45)  # of view of plotly's camera
 _STILL = 400  # pixels of a still picture
 _QUANTILE = 0.99  # of the errors, where the colour scale ends, so that one spike does not hide everything else
 
@@ -151,19 +150,17 @@ def _page_data(
     reach: float,
 ) -> dict[str, Any]:
     first, second = shapes["original"], shapes["reconstruction"]
-    towards = np.array(DEFAULT_DIRECTION) / np.linalg.norm(DEFAULT_DIRECTION)
     # A light is placed in the units of the data: above the viewer's left shoulder, far away.
-    left = np.cross(towards, (0.0, 0.0, 1.0))
-    light = 1e3 * (0.6 * towards + 0.7 * left / np.linalg.norm(left) + (0.0, 0.0, 0.7))
+    left = np.cross(TOWARDS_VIEWER, (0.0, 0.0, 1.0))
+    light = 1e3 * (0.6 * TOWARDS_VIEWER + 0.7 * left / np.linalg.norm(left) + (0.0, 0.0, 0.7))
     colors = shaded_points(first, original, ORIGINAL_COLOR, light) if isinstance(original, PointArrays) else None
     # The bounding sphere fits the field of view. Plotly measures in sides of the cube that holds both shapes.
     radius = max(float(np.linalg.norm(shape.points, axis=1).max()) for shape in shapes.values())
-    distance = 1.05 * radius / (2 * reach) / math.sin(_FIELD / 2)
-    common = {"light": dict(zip("xyz", light.tolist(), strict=True))}
+    common = {"light": xyz(light)}
     size = float(np.clip(240 / math.sqrt(len(first.points)), 1.2, 5))
     return {
         "reach": reach,
-        "eye": dict(zip("xyz", (distance * towards).tolist(), strict=True)),
+        "eye": camera_eye(radius / (2 * reach)),
         "geometries": {
             "original": geometry_json(first, colors),
             "reconstruction": geometry_json(second, None),

@@ -10,22 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files import read_geometry_arrays
-from fsh3d_o3d.geometry import MeshArrays, PointArrays, UnitCube
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, UnitCube, transformed
 from fsh3d_o3d.index import Hit
 from fsh3d_o3d.report.colors import ORIGINAL_COLOR, RECONSTRUCTION_COLOR, css_color
 from fsh3d_o3d.report.display import Displayed, displayed, geometry_json
 from fsh3d_o3d.report.html import write_page
 from fsh3d_o3d.report.thumbnail import encode_png, render_thumbnail
-from fsh3d_o3d.report.view import DEFAULT_DIRECTION, positions
+from fsh3d_o3d.report.view import camera_eye, positions
 
 __all__ = ["SearchResult", "write_search_page"]
 
 _SIDE = 220  # pixels of a picture
 _MOST = 8_000  # triangles or points of one shape: a page holds dozens
-_FIELD = math.radians(45)  # of view of plotly's camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,30 +72,19 @@ def write_search_page(path: str | os.PathLike[str], results: Sequence[SearchResu
         shapes = [_shape(hit, cube) for hit in result.hits]
         shown.append((result.title, _picture(result.geometry, ORIGINAL_COLOR), shapes))
         data.append(_overlays(query, shapes))
-    towards = np.array(DEFAULT_DIRECTION) / np.linalg.norm(DEFAULT_DIRECTION)
-    eye = 1.05 * math.sqrt(3) / 2 / math.sin(_FIELD / 2) * towards
     colors = [css_color(ORIGINAL_COLOR), css_color(RECONSTRUCTION_COLOR)]
     write_page(
         path,
         "search.html",
-        data={"results": data, "eye": dict(zip("xyz", eye.tolist(), strict=True)), "colors": colors},
+        data={"results": data, "eye": camera_eye(math.sqrt(3) / 2), "colors": colors},
         title=results[0].title if len(results) == 1 else f"{len(results)} queries",
         results=shown,
     )
 
 
-def moved(geometry: MeshArrays | PointArrays, transformation: Float64Array) -> MeshArrays | PointArrays:
-    """Return a geometry after a similarity (4, 4)."""
-    turn, shift = transformation[:3, :3], transformation[:3, 3]
-    if isinstance(geometry, MeshArrays):
-        return MeshArrays(geometry.vertices @ turn.T + shift, geometry.triangles)
-    normals = None if geometry.normals is None else geometry.normals @ turn.T
-    return PointArrays(geometry.points @ turn.T + shift, normals, geometry.colors)
-
-
 def _shape(hit: Hit, cube: UnitCube) -> _Shape:
     try:
-        aligned = moved(read_geometry_arrays(hit.path), hit.transformation)
+        aligned = transformed(read_geometry_arrays(hit.path), hit.transformation)
         picture = _picture(aligned, RECONSTRUCTION_COLOR)
         shape = displayed(aligned, cube, _MOST)
     except (GeometryError, OSError) as error:

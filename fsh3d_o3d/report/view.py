@@ -1,11 +1,12 @@
-"""The camera of the thumbnails: orthographic, fitted to a bounding sphere.
+"""The cameras: of the thumbnails, orthographic and fitted to a bounding sphere; and of plotly on a page.
 
-View space has x to the right, y up, z towards the viewer, and the bounding sphere as its unit sphere. Points go there
-in float64, so that what follows may work in float32 whatever the size and place of the geometry.
+The view space of thumbnails has x to the right, y up, z towards the viewer, and the bounding sphere as its unit sphere.
+Points go there in float64, so that what follows may work in float32 whatever the size and place of the geometry.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,10 @@ from fsh3d_o3d.geometry import MeshArrays, PointArrays, UnitCube
 
 DEFAULT_DIRECTION = (1.0, -1.5, 0.8)
 """From the geometry towards the viewer: three quarters from the front, a little from above."""
+TOWARDS_VIEWER = np.array(DEFAULT_DIRECTION) / np.linalg.norm(DEFAULT_DIRECTION)
+"""From the geometry to where plotly's camera stands at first, of length one."""
+_FIELD = math.radians(45)  # of view of plotly's camera
+_AROUND = 1.05  # of the distance from which a ball just fits: a little paper around it
 _MARGIN = 1.04  # of the bounding sphere in the shorter side of the picture
 
 
@@ -87,6 +92,16 @@ class Raster:
     def pixels(self, points: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Return column and row (n,) of points of view space, as fractions of pixels."""
         return points[:, 0] * self.scale + self.width / 2, self.height / 2 - points[:, 1] * self.scale
+
+
+def camera_eye(radius: float) -> dict[str, float]:
+    """Return where plotly's camera sees a ball about the origin whole; both in sides of the cube that it shows."""
+    return xyz(_AROUND * radius / math.sin(_FIELD / 2) * TOWARDS_VIEWER)
+
+
+def xyz(vector: Float64Array) -> dict[str, float]:
+    """Return a vector (3,) as plotly takes it."""
+    return dict(zip("xyz", vector.tolist(), strict=True))
 
 
 def positions(geometry: MeshArrays | PointArrays) -> Float64Array:

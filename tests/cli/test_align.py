@@ -10,10 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fsh3d_o3d.cli import main
-from fsh3d_o3d.cli.align import transformed
 from fsh3d_o3d.files.reading import read_geometry_arrays
 from fsh3d_o3d.files.writing import write_geometry
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry.arrays import MeshArrays
 from fsh3d_o3d.geometry.measures import measure_mesh
 
 SAMPLES = Path(__file__).parents[2] / "samples"
@@ -92,12 +91,6 @@ def test_clouds_keep_normals_and_colours(tmp_path):
     assert run(SAMPLES / "trefoil_cloud.xyzrgb", SAMPLES / "trefoil_knot.ply", "-o", out) == 0
     colored, given = read_geometry_arrays(out), read_geometry_arrays(SAMPLES / "trefoil_cloud.xyzrgb")
     np.testing.assert_allclose(colored.colors, given.colors, atol=1 / 255)
-    normals = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-    matrix = np.eye(4)
-    matrix[:3, :3] = -3 * TURN  # turned, three times as large, and mirrored
-    moved = transformed(PointArrays(np.eye(3)[:2], normals), matrix)
-    np.testing.assert_allclose(moved.normals, -normals @ TURN.T, atol=1e-14)
-    np.testing.assert_allclose(moved.points, -3 * np.eye(3)[:2] @ TURN.T, atol=1e-14)
 
 
 @pytest.mark.parametrize(

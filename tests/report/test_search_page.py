@@ -13,7 +13,7 @@ from fsh3d_o3d.files.writing import write_geometry
 from fsh3d_o3d.geometry.arrays import MeshArrays
 from fsh3d_o3d.index.shape_index import Hit
 from fsh3d_o3d.report.library_thumbnail import library_thumbnail
-from fsh3d_o3d.report.search_page import SearchResult, moved, write_search_page
+from fsh3d_o3d.report.search_page import SearchResult, write_search_page
 from tests.report.pages import HOSTILE, read_page, unpack
 from tests.report.shapes import ball, ball_points
 from tests.report.test_page_in_browser import opened
@@ -108,14 +108,3 @@ def test_nothing_found(tmp_path, result, small_page):
     assert "the index is empty" in path.read_text(encoding="utf-8")
     with pytest.raises(ValueError, match="at least one"):
         write_search_page(path, [])
-
-
-def test_moved_takes_normals_along(random_rotation):
-    onto = np.eye(4)
-    onto[:3, :3], onto[:3, 3] = 3 * random_rotation, (1, 2, 3)
-    cloud = ball_points(20)
-    cloud = dataclasses.replace(cloud, normals=cloud.points)
-    turned = moved(cloud, onto)
-    # Rounding of a product of order one.
-    np.testing.assert_allclose(turned.points - (1, 2, 3), 3 * cloud.points @ random_rotation.T, atol=1e-12)
-    np.testing.assert_allclose(turned.normals, turned.points - (1, 2, 3), atol=1e-12)
