@@ -10,6 +10,7 @@ without such a file, because its writer was killed in that moment or wrote to ob
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import uuid
@@ -26,7 +27,7 @@ from fsh3d_o3d.index.columns import vectors
 from fsh3d_o3d.index.errors import ShapeIndexError
 
 CHECKSUM = "checksum"
-"""The column that holds the others' CRC-32."""
+"""The column that holds the others' checksum: four bytes of BLAKE2b."""
 FOLDER = "checksums"
 """Where those of files are, beside the tables."""
 _CHUNK = 2**20  # bytes that are read at once
@@ -34,7 +35,7 @@ _LATEST = 2**64 - 1  # Lance names manifests by what is left to this, so that a 
 
 
 def row_checksums(table: Any) -> NDArray[np.uint32]:
-    """Return the CRC-32 (n,) of each row of an Arrow table, over all columns but its own."""
+    """Return the checksum (n,) of each row of an Arrow table, over all columns but its own."""
     pa = import_installed("pyarrow")
 
     fixed: list[NDArray[Any]] = [np.zeros((table.num_rows, 0), np.uint8)]
@@ -50,7 +51,7 @@ def row_checksums(table: Any) -> NDArray[np.uint32]:
             varying.append(column.to_pylist())
     numbers = np.concatenate([_bytes(values) for values in fixed], axis=1)
     return np.array(
-        [_chained(numbers[row].data, (values[row] for values in varying)) for row in range(table.num_rows)],
+        [_digest(numbers[row].data, (values[row] for values in varying)) for row in range(table.num_rows)],
         dtype=np.uint32,
     )
 
@@ -167,13 +168,15 @@ class FileChecksums:
         return self._in(FOLDER, f"{table}-{version}.json")
 
 
-def _chained(numbers: Any, values: Iterator[Any]) -> int:
-    checksum = zlib.crc32(numbers)
+def _digest(numbers: Any, values: Iterator[Any]) -> int:
+    # Not a CRC: a CRC of what ends in a CRC of its own, as signatures do, is the same for all of them.
+    digest = hashlib.blake2b(numbers, digest_size=4)
     for value in values:
         data = b"" if value is None else value.encode() if isinstance(value, str) else value
         length = -1 if value is None else len(data)
-        checksum = zlib.crc32(data, zlib.crc32(length.to_bytes(8, "little", signed=True), checksum))
-    return checksum
+        digest.update(length.to_bytes(8, "little", signed=True))
+        digest.update(data)
+    return int.from_bytes(digest.digest(), "little")
 
 
 def _bytes(values: NDArray[Any]) -> NDArray[np.uint8]:

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d._validation import IntArray
 from fsh3d_o3d.descriptors import mixed_distances, signature_distances
-from fsh3d_o3d.index.errors import ShapeIndexError
+from fsh3d_o3d.index.checksums import require_checksums
 from fsh3d_o3d.index.extraction import similarity
 from fsh3d_o3d.index.results import Hit
 from fsh3d_o3d.index.roots import LibraryRoots
@@ -61,9 +62,10 @@ def reranked_hits(
 
 def _rows(models: TableVersion, candidates: Candidates, order: IntArray) -> dict[str, list[Any]]:
     """What is told of hits, by column."""
-    rows = models.checked_rows(candidates.rows[order])
-    # A row's checksum ties its numbers to its path: both are of the row that was ranked.
-    if rows["signature"].to_pylist() != [numbers.tobytes() for numbers in candidates.stored.numbers[order]]:
-        raise ShapeIndexError(f"{models.path}: the index is damaged: rows are not where they should be")
-    columns: dict[str, list[Any]] = rows.select(_COLUMNS).to_pydict()
-    return columns
+    pa = import_installed("pyarrow")
+
+    rows = models.rows(candidates.rows[order], [name for name in models.table.schema.names if name != "signature"])
+    # With the numbers that were ranked: a row's checksum ties them to its path.
+    ranked = pa.array([numbers.tobytes() for numbers in candidates.stored.numbers[order]], pa.binary())
+    require_checksums(rows.append_column("signature", ranked), models.path)
+    return dict(rows.select(_COLUMNS).to_pydict())

@@ -91,7 +91,9 @@ def test_single_bits_anywhere(index):
         assert outcomes["models.lance/_indices", "said"] > 0
 
 
-@pytest.mark.parametrize("column", ["path", "content", "thumbnail", "vertices", "mtime", "sketch", "watertight"])
+@pytest.mark.parametrize(
+    "column", ["path", "content", "thumbnail", "vertices", "mtime", "sketch", "watertight", "signature"]
+)
 def test_each_column_is_under_the_checksum(library, column):
     store = ShapeIndex.open(library / "index", option=QUICK)._store
     rows = store.latest().checked()
@@ -129,7 +131,7 @@ def test_a_row_with_the_numbers_of_another_is_found_out(library, tmp_path):
     assert index.query(blob(3), top=1)
     everything = index._search._kept
     everything.stored.numbers[:] = np.roll(everything.stored.numbers, 1)
-    with pytest.raises(ShapeIndexError, match="rows are not where they should be"):
+    with pytest.raises(ShapeIndexError, match="1 rows do not fit their checksums"):
         index.query(blob(3), top=1)
 
 
