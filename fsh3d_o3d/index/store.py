@@ -146,6 +146,9 @@ class IndexStore:
         Raises:
             ShapeIndexError: It is damaged.
         """
+        return self.reading(lambda version: version, table)
+
+    def _opened(self, table: str) -> TableVersion:
         with self._reading:
             number = self._newest(table)
             held = self._held.get(table)
@@ -169,7 +172,7 @@ class IndexStore:
             before = self._number(table)
             try:
                 # Opening it is part of the trial: others may remove a version as soon as there is a newer one.
-                return work(self.latest(table))
+                return work(self._opened(table))
             except ShapeIndexError:
                 if attempt == _READINGS - 1 or self._number(table) == before:
                     raise
