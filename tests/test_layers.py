@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import graphlib
 import importlib
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -73,6 +74,13 @@ def past_a_door(own: tuple[str, ...], name: tuple[str, ...]) -> bool:
 
 def test_every_folder_has_its_floor() -> None:
     assert sorted(FLOORS) == sorted(door[0] for door in DOORS if len(door) == 1)
+
+
+def test_the_architecture_page_lists_the_folders_from_the_top_down() -> None:
+    page = (PACKAGE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
+    table = page.partition("| folder | holds |\n|---|---|\n")[2].partition("\n\n")[0]
+    rows = [re.fullmatch(r"\| `(\w+)/` \| (.+) \|", line) for line in table.splitlines()]
+    assert [row and row[1] for row in rows] == FLOORS[::-1]
 
 
 @pytest.mark.parametrize("path", FILES, ids=NAMES)
