@@ -1,4 +1,4 @@
-"""Fixtures for all tests: seeded randomness, a private cache folder, the real shapes where they are at hand."""
+"""Fixtures for all tests: seeded randomness and a private cache folder."""
 
 from __future__ import annotations
 
@@ -54,10 +54,3 @@ def private_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FSH3D_CACHE_DIR", str(folder))
         yield folder
-
-
-@pytest.fixture(scope="session")
-def shared_data() -> Path | None:
-    """The folder of unpacked real shapes beside the project, or None: no test may depend on it."""
-    folder = Path(__file__).parents[2] / "data"
-    return folder if folder.is_dir() else None

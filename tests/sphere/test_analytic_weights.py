@@ -42,7 +42,7 @@ def test_default_size_meets_equation_8(b: int) -> None:
     grid = fsh.fibonacci_grid(n)
     solution = solve(grid, b)
     check_report(solution, grid, b)
-    # The issue asks for 1e-12; rounding of the sums allows far less.
+    # Rounding of the sums.
     assert misses(grid.directions, solution.weights, b) < 1e-14
     assert solution.converged and solution.negative == 0 and solution.iterations <= 15
     ratio = solution.weights * n / (4 * np.pi)

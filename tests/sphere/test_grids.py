@@ -44,7 +44,7 @@ def test_fibonacci_is_exact_at_four_million_points(n: int, rng: np.random.Genera
     z = np.array([float(z) for z, _ in exact])
     longitude = 2 * np.pi * np.array([float(turns) for _, turns in exact])
     sine = np.sqrt([float(1 - z * z) for z, _ in exact])
-    # A few roundings of numbers up to 2π and up to 1; the issue asks for 1e-12 rad.
+    # A few roundings of numbers up to 2π and up to 1.
     assert np.abs(grid.longitude[index] - longitude).max() < 4e-15
     assert np.abs(grid.directions[index, 2] - z).max() < 3e-16
     expected = np.stack([sine * np.cos(longitude), sine * np.sin(longitude)], axis=1)
