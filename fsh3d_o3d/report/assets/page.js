@@ -1,10 +1,7 @@
-"use strict";
 // Draws the page's plots from its data block. The element <html> tells in data-rendered how that went:
 // "true", "pictures" (no WebGL: still pictures stay in place of the 3D views) or "failed".
 (() => {
-  const root = document.documentElement;
-  const data = JSON.parse(document.getElementById("report-data").textContent);
-  const quiet = { displaylogo: false, responsive: true, displayModeBar: false };
+  const { root, data, config } = shared;
   const ink = () => getComputedStyle(root).getPropertyValue("--ink").trim();
   const line = () => getComputedStyle(root).getPropertyValue("--line").trim();
 
@@ -16,27 +13,15 @@
   const trace = (view) => {
     const { palette, color, ...arrays } = data.geometries[view.geometry];
     if (!("i" in arrays)) {
-      const marker = { size: view.size, color: palette ? Array.from(unpack16(color), (k) => palette[k]) : view.color };
-      return { type: "scatter3d", mode: "markers", hoverinfo: "skip", ...arrays, marker };
+      const colors = palette ? Array.from(unpack16(color), (k) => palette[k]) : view.color;
+      return shared.points(arrays, { size: view.size, color: colors });
     }
-    const mesh = {
-      type: "mesh3d", ...arrays, flatshading: false, hoverinfo: "skip", color: view.color,
-      lighting: { ambient: 0.32, diffuse: 0.66, specular: 0.03, roughness: 0.8, fresnel: 0.05,
-        vertexnormalsepsilon: 0, facenormalsepsilon: 0 },
-      lightposition: view.light,
-    };
+    const mesh = { ...shared.mesh(arrays, { ambient: 0.32, diffuse: 0.66 }), color: view.color, lightposition: view.light };
     if (!view.errors) return mesh;
     return { ...mesh, color: undefined, intensity: data.errors.percent, colorscale: data.errors.colorscale,
       cmin: 0, cmax: data.errors.maximum, showscale: false, hoverinfo: undefined,
       hovertemplate: "%{intensity:.3g} %<extra></extra>" };
   };
-
-  const axis = () => ({ visible: false, range: [-data.reach, data.reach], autorange: false });
-  const sceneLayout = () => ({
-    margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", uirevision: "keep",
-    scene: { aspectmode: "cube", dragmode: "orbit", xaxis: axis(), yaxis: axis(), zaxis: axis(),
-      camera: { eye: { ...data.eye }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: 0 } } },
-  });
 
   // One camera for all views: the others follow the one that was touched last, about once a frame.
   const link = (plots) => {
@@ -75,21 +60,16 @@
     const series = { type: "scatter", mode: data.energies.values.length > 150 ? "lines" : "lines+markers",
       y: data.energies.values, line: { color: "#c8553d", width: 1.6 }, marker: { size: 5 },
       hovertemplate: "degree %{x}: %{y:.3e}<extra></extra>" };
-    return Plotly.react(plot, [series], layout, quiet);
-  };
-
-  const hasWebGL = () => {
-    const canvas = document.createElement("canvas");
-    return Boolean(canvas.getContext("webgl2") || canvas.getContext("webgl"));
+    return Plotly.react(plot, [series], layout, config);
   };
 
   const draw = async () => {
     await energies();
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", energies);
-    if (!hasWebGL()) return "pictures";
+    if (!shared.hasWebGL) return "pictures";
     const plots = await Promise.all(data.views.map(async (view) => {
       const plot = document.getElementById(view.id);
-      await Plotly.newPlot(plot, [trace(view)], sceneLayout(), quiet);
+      await Plotly.newPlot(plot, [trace(view)], { ...shared.layout(data.reach), uirevision: "keep" }, config);
       plot.parentElement.classList.add("live");
       return plot;
     }));
@@ -99,10 +79,7 @@
 
   const tell = (outcome, message) => {
     root.dataset.rendered = outcome;
-    if (!message) return;
-    const trouble = document.getElementById("trouble");
-    trouble.textContent = message;
-    trouble.hidden = false;
+    if (message) shared.tell(message);
   };
   draw().then(
     (outcome) => tell(outcome, outcome === "pictures" &&
