@@ -18,15 +18,18 @@ from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry import (
     BoolArray,
     EdgeTable,
+    GeometryKind,
     MeshArrays,
     MeshMeasures,
     PointArrays,
     UnitCube,
     UnitScene,
     area_samples,
+    chosen_kind,
     component_areas,
     geometry_arrays,
     measure_mesh,
+    open3d_mesh,
     oriented,
     repair_mesh,
     vertex_distances,
@@ -78,6 +81,12 @@ class Closing:
     narrower than some two cells, or closed by repair. An outer surface has none of it."""
     resolution: int | None
     """Cells along the longest side of the bounding box; None where nothing was carved."""
+    kind: GeometryKind = "legacy"
+    """Which Open3D objects it becomes unless told otherwise: those it came from."""
+
+    def to_triangle_mesh(self, *, kind: GeometryKind | None = None) -> Any:
+        """Return ``mesh`` as an Open3D ``TriangleMesh``, ``"legacy"`` or ``"tensor"``; like the input if not given."""
+        return open3d_mesh(self.mesh, chosen_kind(kind, self.kind))
 
 
 def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> Closing:
@@ -106,11 +115,11 @@ def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> C
         >>> closing = fsh.prepare_closed(knot, resolution=16)
         >>> closing.method
         'carved'
-        >>> fsh.ConformalShape.from_geometry(closing.mesh, bandwidth=8).to_triangle_mesh(1000)
+        >>> fsh.ConformalShape.from_geometry(closing.to_triangle_mesh(), bandwidth=8).to_triangle_mesh(1000)
         TriangleMesh with 1002 points and 2000 triangles.
     """
     cells = check.integer(resolution, "resolution", minimum=8, maximum=1024)
-    given = geometry_arrays(mesh)[0]
+    given, kind = geometry_arrays(mesh)
     if isinstance(given, PointArrays):
         raise TypeError("a closed surface needs a mesh, got a point cloud; reconstruct a surface from it first")
     welded = weld(given)
@@ -126,7 +135,7 @@ def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> C
         assert turned is not None
         if turned is not welded:
             changed += ("turned triangles to face outward",)
-        return Closing(turned if changed else given, "as given", (), changed, *6 * (0.0,), None)
+        return Closing(turned if changed else given, "as given", (), changed, *6 * (0.0,), None, kind)
     source, notes = _repaired(unit, measures) if repair else (unit, ())
     changed += notes
     method: ClosingMethod = "repaired"
@@ -150,6 +159,7 @@ def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> C
         hausdorff_back=float(back.max()) / unit.diagonal,
         hidden=1 - len(reached) / len(there),
         resolution=cells if method == "carved" else None,
+        kind=kind,
     )
 
 

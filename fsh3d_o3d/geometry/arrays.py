@@ -1,6 +1,8 @@
 """Open3D geometry in and out: legacy and tensor objects become arrays, and arrays become objects again.
 
 Everything below the public functions works on ``MeshArrays`` and ``PointArrays``; Open3D objects exist at the edges.
+Their arrays are copies of what was given, and nothing in the package writes into them. They are not locked against
+their owner, because ``Vector3dVector`` takes no read-only array.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ GEOMETRY_KINDS: tuple[GeometryKind, ...] = ("legacy", "tensor")
 
 @dataclass(frozen=True, eq=False)
 class MeshArrays:
-    """A triangle mesh as read-only arrays."""
+    """A triangle mesh as arrays of its own."""
 
     vertices: Float64Array
     """(v, 3) positions, finite."""
@@ -42,7 +44,6 @@ class MeshArrays:
                 f"mesh triangles refer to vertices {triangles.min()} … {triangles.max()}, "
                 f"but there are vertices 0 … {len(vertices) - 1}"
             )
-        triangles.setflags(write=False)
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "triangles", triangles)
 
@@ -81,7 +82,7 @@ class MeshArrays:
 
 @dataclass(frozen=True, eq=False)
 class PointArrays:
-    """A point cloud as read-only arrays."""
+    """A point cloud as arrays of its own."""
 
     points: Float64Array
     """(n, 3) positions, finite, n >= 1."""
@@ -99,7 +100,6 @@ class PointArrays:
             array = np.array(check.unmasked(value, name), dtype=np.float64, order="C")
             if array.shape != self.points.shape:
                 raise GeometryError(f"{name} must have shape {self.points.shape} like the points, got {array.shape}")
-            array.setflags(write=False)
             object.__setattr__(self, name, array)
 
     @property
@@ -191,7 +191,7 @@ def open3d_mesh(
     o3d = open3d()
     if kind == "legacy":
         legacy = o3d.geometry.TriangleMesh(
-            o3d.utility.Vector3dVector(np.array(mesh.vertices)),
+            o3d.utility.Vector3dVector(mesh.vertices),
             o3d.utility.Vector3iVector(mesh.triangles.astype(np.int32)),
         )
         if normals is not None:
@@ -200,8 +200,8 @@ def open3d_mesh(
             legacy.vertex_colors = o3d.utility.Vector3dVector(np.array(colors))
         return legacy
     tensor = o3d.t.geometry.TriangleMesh()
-    tensor.vertex.positions = o3d.core.Tensor(np.array(mesh.vertices))
-    tensor.triangle.indices = o3d.core.Tensor(np.array(mesh.triangles))
+    tensor.vertex.positions = o3d.core.Tensor(mesh.vertices)
+    tensor.triangle.indices = o3d.core.Tensor(mesh.triangles)
     if normals is not None:
         tensor.vertex.normals = o3d.core.Tensor(np.array(normals))
     if colors is not None:
@@ -213,18 +213,18 @@ def open3d_point_cloud(cloud: PointArrays, kind: GeometryKind = "legacy") -> Any
     """Return a cloud as a legacy or tensor ``PointCloud`` with its normals and colours."""
     o3d = open3d()
     if kind == "legacy":
-        legacy = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(cloud.points)))
+        legacy = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points))
         if cloud.normals is not None:
-            legacy.normals = o3d.utility.Vector3dVector(np.array(cloud.normals))
+            legacy.normals = o3d.utility.Vector3dVector(cloud.normals)
         if cloud.colors is not None:
-            legacy.colors = o3d.utility.Vector3dVector(np.array(cloud.colors))
+            legacy.colors = o3d.utility.Vector3dVector(cloud.colors)
         return legacy
     tensor = o3d.t.geometry.PointCloud()
-    tensor.point.positions = o3d.core.Tensor(np.array(cloud.points))
+    tensor.point.positions = o3d.core.Tensor(cloud.points)
     if cloud.normals is not None:
-        tensor.point.normals = o3d.core.Tensor(np.array(cloud.normals))
+        tensor.point.normals = o3d.core.Tensor(cloud.normals)
     if cloud.colors is not None:
-        tensor.point.colors = o3d.core.Tensor(np.array(cloud.colors))
+        tensor.point.colors = o3d.core.Tensor(cloud.colors)
     return tensor
 
 
@@ -239,7 +239,6 @@ def _points(value: Any, name: str) -> Float64Array:
         raise GeometryError(
             f"{name} must be finite, but {len(array) - finite.sum()} of {len(array)} are NaN or infinite"
         )
-    array.setflags(write=False)
     return array
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import MeshArrays
+from fsh3d_o3d.geometry.arrays import GeometryKind, MeshArrays, chosen_kind, geometry_arrays, open3d_mesh
 from fsh3d_o3d.geometry.measures import MeshMeasures, measure_mesh, oriented, weld
 from fsh3d_o3d.geometry.rays import UnitCube
 
@@ -26,9 +27,15 @@ class Repair:
     """Of the welded input."""
     after: MeshMeasures
     """Of the result."""
+    kind: GeometryKind = "legacy"
+    """Which Open3D objects it becomes unless told otherwise: those it came from."""
+
+    def to_triangle_mesh(self, *, kind: GeometryKind | None = None) -> Any:
+        """Return ``mesh`` as an Open3D ``TriangleMesh``, ``"legacy"`` or ``"tensor"``; like the input if not given."""
+        return open3d_mesh(self.mesh, chosen_kind(kind, self.kind))
 
 
-def repair_mesh(mesh: MeshArrays, *, largest_hole: int = 1000) -> Repair:
+def repair_mesh(mesh: Any, *, largest_hole: int = 1000) -> Repair:
     """Weld, clean, close and orient a mesh.
 
     Equal vertices become one; repeated, degenerate and non-manifold triangles are removed or split apart; holes of up
@@ -36,10 +43,11 @@ def repair_mesh(mesh: MeshArrays, *, largest_hole: int = 1000) -> Repair:
     ``after`` tells.
 
     Args:
-        mesh: Any triangle mesh.
+        mesh: Any triangle mesh: Open3D's, legacy or tensor, or ``MeshArrays``.
         largest_hole: Most boundary edges of a hole that is closed; 0 closes none.
 
     Raises:
+        TypeError: Not a triangle mesh.
         GeometryError: The mesh has no extent, or nothing of it is left.
         ValueError: ``largest_hole`` is negative or not an integer.
     """
@@ -47,7 +55,10 @@ def repair_mesh(mesh: MeshArrays, *, largest_hole: int = 1000) -> Repair:
     pymeshlab = import_installed("pymeshlab")
 
     edges = check.integer(largest_hole, "largest_hole", minimum=0, maximum=10**6)
-    welded = weld(mesh)
+    given, kind = geometry_arrays(mesh)
+    if not isinstance(given, MeshArrays):
+        raise TypeError("a point cloud has no surface to repair: repair_mesh takes triangle meshes")
+    welded = weld(given)
     cube = UnitCube.around(welded.vertices)  # MeshLab stores float32 in places
     meshes = pymeshlab.MeshSet(verbose=False)
     meshes.add_mesh(pymeshlab.Mesh(cube.to_unit(welded.vertices), welded.triangles.astype(np.int32)))
@@ -70,4 +81,4 @@ def repair_mesh(mesh: MeshArrays, *, largest_hole: int = 1000) -> Repair:
     repaired = MeshArrays(cube.from_unit(vertices), np.asarray(result.face_matrix(), dtype=np.int64))
     turned = oriented(repaired)
     final = repaired if turned is None else turned
-    return Repair(final, measure_mesh(welded), measure_mesh(final))
+    return Repair(final, measure_mesh(welded), measure_mesh(final), kind)

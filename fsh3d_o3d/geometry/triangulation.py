@@ -27,7 +27,7 @@ def fibonacci_triangulation(directions: Float64Array) -> tuple[Float64Array, Int
         directions: (n, 3) unit vectors, n ≥ 4.
 
     Returns:
-        The directions (n, 3) as given, normalised, and outward-oriented triangles (2n − 4, 3), int64; both read-only.
+        The directions (n, 3) as given, normalised, and outward-oriented triangles (2n − 4, 3), int64.
 
     Raises:
         ValueError: Not unit vectors, fewer than four, on one half of the sphere, or not all different.
@@ -47,11 +47,11 @@ def fibonacci_triangulation(directions: Float64Array) -> tuple[Float64Array, Int
         )
     if hull.equations[:, 3].max() >= 0:
         raise ValueError("directions must surround the origin, but they leave half of the sphere empty")
-    return _readonly(points, _outward(points, triangles))
+    return points, _outward(points, triangles)
 
 
 def sphere_mesh(resolution: int | Float64Array) -> tuple[Float64Array, IntArray]:
-    """Return a triangulated sphere: directions (n, 3) and outward-oriented triangles (2n − 4, 3), both read-only.
+    """Return a triangulated sphere: directions (n, 3) and outward-oriented triangles (2n − 4, 3).
 
     Args:
         resolution: A number of points, for the smallest icosphere that has at least as many; or directions (n, 3),
@@ -68,9 +68,3 @@ def _outward(points: Float64Array, triangles: IntArray) -> IntArray:
     corners = points[triangles]
     inward = np.einsum("ij,ij->i", corners[:, 0], triangle_normals(corners)) < 0
     return np.ascontiguousarray(np.where(inward[:, None], triangles[:, (0, 2, 1)], triangles))
-
-
-def _readonly(points: Float64Array, triangles: IntArray) -> tuple[Float64Array, IntArray]:
-    points.setflags(write=False)
-    triangles.setflags(write=False)
-    return points, triangles

@@ -33,10 +33,10 @@ _MAXIMUM_POINTS = 10**8  # a choice: 4 GB of directions and angles
 
 @dataclass(frozen=True, eq=False)
 class SphericalGrid:
-    """Sampling directions on the unit sphere, in a fixed order; arrays are read-only."""
+    """Sampling directions on the unit sphere, in a fixed order. Nothing changes a grid."""
 
     directions: Float64Array
-    """(n, 3) unit vectors."""
+    """(n, 3) unit vectors; a copy each time, for Open3D's ``Vector3dVector`` takes no read-only array."""
     colatitude: Float64Array
     """(n,) θ in radians, [0, π]."""
     longitude: Float64Array
@@ -73,6 +73,18 @@ class SphericalGrid:
     def fingerprint(self) -> str:
         """SHA-256 of the directions: equal grids have equal fingerprints."""
         return hashlib.sha256(np.ascontiguousarray(self.directions).tobytes()).hexdigest()
+
+
+def _directions(grid: SphericalGrid) -> Float64Array:
+    return np.array(vars(grid)["directions"])
+
+
+def _keep_directions(grid: SphericalGrid, value: Float64Array) -> None:
+    vars(grid)["directions"] = value
+
+
+# Grids are shared by all who ask for the same, so what they hold is locked; what they hand out is not.
+SphericalGrid.directions = property(_directions, _keep_directions)  # type: ignore[assignment]
 
 
 def grid_size(bandwidth: int, oversampling: float | None = None) -> int:

@@ -16,8 +16,8 @@ def icosphere(frequency: int) -> tuple[Float64Array, IntArray]:
     """Return the unit icosahedron with every edge cut into ``frequency`` equal arcs, and its triangles.
 
     Returns:
-        directions: (10 f² + 2, 3) unit vectors, read-only.
-        triangles: (20 f², 3) indices, counter-clockwise seen from outside, read-only.
+        directions: (10 f² + 2, 3) unit vectors.
+        triangles: (20 f², 3) indices, counter-clockwise seen from outside.
 
     Raises:
         ValueError: ``frequency`` is out of range.
@@ -31,7 +31,8 @@ def icosphere(frequency: int) -> tuple[Float64Array, IntArray]:
     """
     f = check.integer(frequency, "frequency", minimum=1, maximum=2000)
     check.memory(3000.0 * f * f, f"an icosphere of {10 * f * f + 2} points")
-    return _icosphere(f)
+    directions, triangles = _icosphere(f)
+    return directions.copy(), triangles.copy()  # the cached ones are shared
 
 
 @functools.lru_cache(maxsize=8)
@@ -61,8 +62,6 @@ def _icosphere(f: int) -> tuple[Float64Array, IntArray]:
     down = np.stack([b, d, c], axis=-1).reshape(-1, 3)
     local = np.concatenate([up[(up >= 0).all(axis=1)], down[(down >= 0).all(axis=1)]])
     triangles = inverse.reshape(20, -1)[:, local].reshape(-1, 3).astype(np.int64)
-    directions.setflags(write=False)
-    triangles.setflags(write=False)
     return directions, triangles
 
 

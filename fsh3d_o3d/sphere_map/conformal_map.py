@@ -108,7 +108,7 @@ def conformal_map(mesh: Any, option: ConformalMapOption | None = None) -> Spheri
     chosen = ConformalMapOption() if option is None else option
     if not isinstance(chosen, ConformalMapOption):
         raise TypeError(f"option must be a ConformalMapOption, got {type(chosen).__name__}")
-    arrays, _ = geometry_arrays(mesh)
+    arrays, kind = geometry_arrays(mesh)
     if not isinstance(arrays, MeshArrays):
         raise TypeError("a point cloud has no surface to map: conformal_map takes triangle meshes")
     check.memory(_memory(len(arrays.triangles), chosen), f"mapping {len(arrays.triangles)} triangles to the sphere")
@@ -120,8 +120,7 @@ def conformal_map(mesh: Any, option: ConformalMapOption | None = None) -> Spheri
         sphere, balance_iterations = _optimised(vertices, triangles, start, chosen)
     measured = distortion(vertices, triangles, sphere)
     source = surface.source_vertices
-    for array in (sphere, source):
-        array.setflags(write=False)
+    source.setflags(write=False)
     return SphericalMap(
         mesh=surface.mesh,
         positions=sphere,
@@ -134,6 +133,7 @@ def conformal_map(mesh: Any, option: ConformalMapOption | None = None) -> Spheri
         iterations=start.iterations,
         balance_iterations=balance_iterations,
         method=start.method,
+        kind=kind,
     )
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry import MeshArrays
+from fsh3d_o3d.geometry import GeometryKind, MeshArrays, chosen_kind, open3d_mesh
 
 __all__ = ["MapMethod", "SphericalMap"]
 
@@ -21,7 +21,7 @@ class SphericalMap:
     mesh: MeshArrays
     """The surface as it was mapped: equal vertices merged, unused ones removed, turned outwards."""
     positions: Float64Array
-    """(n, 3) unit vectors, where each vertex of ``mesh`` lies on the sphere; read-only."""
+    """(n, 3) unit vectors, where each vertex of ``mesh`` lies on the sphere."""
     source_vertices: IntArray
     """(n,) the vertex of the input that each vertex of ``mesh`` was: ``attribute[source_vertices]`` carries over any
     attribute of the input's vertices. The first of those that were merged; read-only."""
@@ -42,3 +42,15 @@ class SphericalMap:
     """Steps of the optimisation after it, whether of area balance or, after a fallback, of conformality alone."""
     method: MapMethod
     """What made the map valid, before any balancing."""
+    kind: GeometryKind = "legacy"
+    """Which Open3D objects it becomes unless told otherwise: those it came from."""
+
+    def to_triangle_mesh(self, *, on_sphere: bool = False, kind: GeometryKind | None = None) -> Any:
+        """Return ``mesh`` as an Open3D ``TriangleMesh``.
+
+        Args:
+            on_sphere: Put the vertices where they lie on the unit sphere: the map itself.
+            kind: ``"legacy"`` or ``"tensor"``; that of the input if not given.
+        """
+        mesh = MeshArrays(self.positions, self.mesh.triangles) if on_sphere else self.mesh
+        return open3d_mesh(mesh, chosen_kind(kind, self.kind))

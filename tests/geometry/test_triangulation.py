@@ -25,7 +25,6 @@ def assert_is_sphere(directions, triangles):
     assert len(triangles) == 2 * len(directions) - 4
     assert len(np.unique(triangles)) == len(directions)
     assert triangles.dtype == np.int64
-    assert not directions.flags.writeable and not triangles.flags.writeable
     # Unit vectors up to the rounding of a division.
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=4e-16)
 

@@ -79,10 +79,12 @@ def test_arrays_agree_and_are_frozen(name: str) -> None:
     assert np.abs(np.linalg.norm(grid.directions, axis=1) - 1).max() < 1e-15
     assert theta.min() >= 0 and theta.max() <= np.pi
     assert phi.min() >= 0 and phi.max() < 2 * np.pi
-    for array in (grid.directions, theta, phi):
-        assert array.dtype == np.float64
+    kept = grid.directions
+    for array in (theta, phi):
         with pytest.raises(ValueError, match=r"read-only"):
             array[0] = 0.0
+    grid.directions[0] = 0.0  # a copy
+    assert (grid.directions == kept).all() and kept.dtype == theta.dtype == phi.dtype == np.float64
     with pytest.raises(dataclasses.FrozenInstanceError):
         grid.name = "other"  # type: ignore[misc]
 
