@@ -20,7 +20,7 @@ from fsh3d_o3d.sphere import SphericalGrid, SphericalHarmonicTransform, checked_
 from fsh3d_o3d.sphere_map import ConformalMapOption, conformal_map, locate
 
 _RECIPE = 1  # raised whenever the same option gives other numbers
-_FRAME_SAMPLES = 256  # of the area; the moments of a mesh are exact without any
+_FRAME_SAMPLES = 256  # of the area, a few that nothing uses: the moments of a mesh are exact without
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -32,7 +32,7 @@ __all__ = [
 
 Option = TypeVar("Option", SHDOption, CPSHDOption)
 
-_ALIGNED = 8  # degrees < this are aligned
+_ALIGNED_DEGREES = 8  # degrees below this are aligned; as many as an index keeps
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class SHDDescriptor:
 
     @property
     def _bandwidth(self) -> int:
-        return min(_ALIGNED, self.option.bandwidth)
+        return min(_ALIGNED_DEGREES, self.option.bandwidth)
 
     def describe(self, geometry: MeshArrays | PointArrays) -> NDArray[np.float32]:
         """Return the descriptor (d,)."""

@@ -3,7 +3,7 @@
 >>> import fsh3d_o3d as fsh
 >>> feature = fsh.compute_shd_feature(mesh, fsh.SHDOption.best())
 
-A signature is the same and the coefficients behind it, by which shapes can be compared once they are aligned.
+A signature is a feature with the coefficients behind it, by which shapes can be compared once they are aligned.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def compute_shd_feature(geometry: Any, option: SHDOption | None = None) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class ShapeSignature:
-    """What is kept of a shape to find it again: a feature, low degrees for alignment, and the way back."""
+    """What is kept of a shape to find it again: a feature, low degrees for alignment, and its frame."""
 
     feature: NDArray[np.float32]
     """(d,) the descriptor, as ``shd_descriptor`` gives it."""

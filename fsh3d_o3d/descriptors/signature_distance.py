@@ -21,13 +21,13 @@ from fsh3d_o3d.sphere import estimate_rotations, parity, resolve_threads, rotate
 
 __all__ = ["signature_distances", "fits_only_mirrored", "mixed_distances"]
 
-_SHARE = 0.5  # of the aligned distance in the mix; anything from 0.4 to 0.6 does
+_ALIGNED_SHARE = 0.5  # of the aligned distance in the mix; anything from 0.4 to 0.6 does
 # Of what depends on direction in one shape and differs in the other. 22 symmetric shapes and copies of them, turned,
 # subdivided and mirrored, are at most 0.09 apart, and mirrored or not within 0.01 of the same; mirrored brackets are
 # 0.56 apart when turned and 0.02 when mirrored, animals in one pose 0.1 … 0.5 and 0.02.
-_CLEARLY = 0.04  # nearer when mirrored
-_HALF = 0.5  # as far when mirrored, at most
-_BLOCK = 64  # candidates a job; fixed, so that results do not depend on the number of threads
+_MIRROR_MARGIN = 0.04  # relative distance by which a mirror image has to be nearer
+_MIRROR_RATIO = 0.5  # of the distance of the best rotation, at most, that a mirror image may have
+_CANDIDATES_A_JOB = 64  # fixed, so that results do not depend on the number of threads
 
 
 def signature_distances(
@@ -58,20 +58,20 @@ def signature_distances(
     distances = np.empty(len(others))
 
     def compare(start: int) -> None:
-        part = slice(start, start + _BLOCK)
-        here = _difference(own[None], rotate_each(others[part], rotations[part]))
-        there = _difference(rotate_each(own[None], rotations[part], inverse=True), others[part])
+        part = slice(start, start + _CANDIDATES_A_JOB)
+        here = _root_distance(own[None], rotate_each(others[part], rotations[part]))
+        there = _root_distance(rotate_each(own[None], rotations[part], inverse=True), others[part])
         distances[part] = (here + there) / 2
 
     with single_threaded_blas():
-        jobs = [lambda start=start: compare(start) for start in range(0, len(others), _BLOCK)]
+        jobs = [lambda start=start: compare(start) for start in range(0, len(others), _CANDIDATES_A_JOB)]
         run_all(jobs, threads)
     return distances, rotations
 
 
 def mixed_distances(features: FloatArray, aligned: FloatArray) -> Float64Array:
     """Return the distances by which candidates are re-ranked: of the features and of the aligned shapes, weighted."""
-    return np.asarray((1 - _SHARE) * features + _SHARE * aligned, dtype=np.float64)
+    return np.asarray((1 - _ALIGNED_SHARE) * features + _ALIGNED_SHARE * aligned, dtype=np.float64)
 
 
 def fits_only_mirrored(query: object, candidates: object, *, threads: int | None = None) -> NDArray[np.bool_]:
@@ -102,7 +102,7 @@ def fits_only_mirrored(query: object, candidates: object, *, threads: int | None
         agreement = estimate_rotations(rows, own, threads=threads)[1]
         apart.append(np.sqrt(np.maximum(sizes - 2 * agreement, 0) / np.maximum(sizes / 2, np.finfo(float).tiny)))
     turned, mirrored = apart
-    return np.asarray((mirrored < turned - _CLEARLY) & (mirrored < _HALF * turned))
+    return np.asarray((mirrored < turned - _MIRROR_MARGIN) & (mirrored < _MIRROR_RATIO * turned))
 
 
 def _without_mean(rows: Float64Array) -> Float64Array:
@@ -110,7 +110,7 @@ def _without_mean(rows: Float64Array) -> Float64Array:
     return np.concatenate((np.zeros((*rows.shape[:-1], 1)), rows[..., 1:]), axis=-1)
 
 
-def _difference(first: Float64Array, second: Float64Array) -> Float64Array:
+def _root_distance(first: Float64Array, second: Float64Array) -> Float64Array:
     left, right = _roots(first), _roots(second)
     total = np.abs(left).sum(axis=(1, 2)) + np.abs(right).sum(axis=(1, 2))
     return np.asarray(2 * np.abs(left - right).sum(axis=(1, 2)) / np.maximum(total, np.finfo(float).tiny))

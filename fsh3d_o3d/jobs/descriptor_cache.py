@@ -28,12 +28,12 @@ from fsh3d_o3d._version import __version__
 
 __all__ = ["clear_descriptor_cache", "descriptor_cache_path"]
 
-_FORMAT = 1
+_FORMAT = 1  # of the table; raised, and with it the file's name, when older code could not read it
 _TABLE = "CREATE TABLE IF NOT EXISTS descriptors (key BLOB PRIMARY KEY, seconds REAL, value BLOB, digest BLOB)"
-_KEYS_A_QUERY = 500
-_ENTRIES_A_TRANSACTION = 64
-_PATIENCE = 30.0  # seconds to wait for another process's transaction
-_CHUNK = 2**20
+_KEYS_A_QUERY = 500  # SQLite before 3.32 takes 999 parameters at most
+_ENTRIES_A_TRANSACTION = 64  # lost at most if the process is killed: a second or two of work; a choice
+_LOCK_TIMEOUT = 30.0  # seconds to wait for another process's transaction
+_CHUNK = 2**20  # bytes of a file that are hashed at once; a choice
 _log = logging.getLogger("fsh3d_o3d")
 
 
@@ -141,7 +141,7 @@ class DescriptorCache:
 
     def _open(self) -> None:
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._connection = sqlite3.connect(self._path, timeout=_PATIENCE)
+        self._connection = sqlite3.connect(self._path, timeout=_LOCK_TIMEOUT)
         # Not waiting for the disk: what a power failure damages is found by its checksum, and computed again.
         self._connection.execute("PRAGMA synchronous = OFF")
         with self._connection:

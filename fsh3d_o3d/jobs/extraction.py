@@ -29,7 +29,7 @@ __all__ = ["Descriptor", "Extraction", "FailedInput", "extract_descriptors"]
 
 
 class Descriptor(Protocol):
-    """A way to describe shapes by vectors and to compare these. Must pickle: it travels to the worker processes."""
+    """What describes shapes by vectors and compares these. Must pickle: it travels to the worker processes."""
 
     @property
     def fingerprint(self) -> str:

@@ -18,13 +18,13 @@ from fsh3d_o3d._imports import PACKAGE_FOLDER, import_installed
 from fsh3d_o3d.jobs.worker_pool import Outcome, Result, Task, run_tasks
 
 _SMALLEST_PART = 8  # tasks: starting a process takes as long as describing dozens of files
-_LARGEST_PART = 256
+_LARGEST_PART = 256  # tasks that Ray repeats at most when it loses a machine; a choice
 _PARTS_A_PROCESSOR = 4  # at least, where there are so many tasks, so that all end at about the same time
 _PARTS_IN_HAND = 2  # a processor: one that runs, one that waits
-_ANSWER_PATIENCE = 4.0  # seconds to connect, and as many to be greeted
-# What opens every HTTP/2 connection, which gRPC is (RFC 9113, section 3.4), with an empty frame of settings behind it.
-_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
-_KIND_AT, _SETTINGS = 3, 4  # the byte of a frame that tells its kind, and the kind that a server sends first
+_ANSWER_TIMEOUT = 4.0  # seconds to connect, and as many to be greeted
+# What opens every HTTP/2 connection, which gRPC is (RFC 9113, section 3.4), with empty settings behind it.
+_HTTP2_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
+_KIND_AT, _SETTINGS = 3, 4  # the byte that tells the kind of what comes, and the kind that a server sends first
 
 
 def run_tasks_on_ray(
@@ -122,9 +122,9 @@ def _require_server(address: str) -> None:
 
 def _greeting(host: str, port: int) -> bytes:
     """Return the first bytes that a server sends, fewer than asked for if it does not care for gRPC."""
-    with socket.create_connection((host, port), timeout=_ANSWER_PATIENCE) as connection:
+    with socket.create_connection((host, port), timeout=_ANSWER_TIMEOUT) as connection:
         try:
-            connection.sendall(_PREFACE)
+            connection.sendall(_HTTP2_PREFACE)
             with connection.makefile("rb") as stream:
                 return stream.read(_KIND_AT + 1)
         except OSError:  # silent until the time was over, or hung up

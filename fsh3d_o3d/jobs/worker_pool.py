@@ -31,8 +31,8 @@ Result = TypeVar("Result")
 _SINGLE_THREADED = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "DUCC0_NUM_THREADS"), "1"
 )
-_START_PATIENCE = 120.0  # seconds; starting takes one
-_HEARTBEAT = 0.5  # seconds after which waiting looks up: a signal that another thread has got wakes nobody who waits
+_START_TIMEOUT = 120.0  # seconds; starting takes one, on a loaded machine or a slow disk many
+_POLL_INTERVAL = 0.5  # seconds between looks at signals: one that another thread has got wakes nobody who waits
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,8 @@ def run_tasks(
         while len(pool) < min(workers, len(tasks)):
             pool.append(start())
         while pool:
-            patience = min(_HEARTBEAT, max(0.0, min(worker.deadline for worker in pool) - time.monotonic()))
-            ready = wait([worker.pipe for worker in pool], timeout=patience)
+            remaining = min(_POLL_INTERVAL, max(0.0, min(worker.deadline for worker in pool) - time.monotonic()))
+            ready = wait([worker.pipe for worker in pool], timeout=remaining)
             now = time.monotonic()
             for worker in [w for w in pool if w.pipe in ready or now > w.deadline]:
                 alive, outcome = worker.answer() if worker.pipe in ready else (False, worker.too_late(timeout))
@@ -97,7 +97,7 @@ class _Worker:
 
     def __post_init__(self) -> None:
         self.pipe, theirs = Pipe()
-        self.deadline = time.monotonic() + _START_PATIENCE
+        self.deadline = time.monotonic() + _START_TIMEOUT
         self._index: int | None = None
         try:
             self._process = ChildProcess(

@@ -18,13 +18,13 @@ from fsh3d_o3d.sphere import exponential
 
 REACH = 0.3
 """RMS radii; what is farther from the other surface counts as this far, whatever it is."""
-_SLIDING = 0.1  # weight of the distance along the surface, so that flat parts do not slide freely
-_STILL = 1e-5  # radians and RMS radii; a step below it ends the iteration
-_DAMPING = 1e-6  # of the largest curvature: what nothing holds stays where it is
-_TIGHT = 3.0  # typical distances; pairs farther apart do not count
-_LEAST = 0.05  # RMS radii; the spacing of the samples is no reason to drop a pair
-_SOME = 256  # nodes that tell how far apart all are
-_GOLDEN = 0.6180339887498949
+_POINT_WEIGHT = 0.1  # of distances to points beside those to tangent planes, so that flat parts do not slide freely
+_STEP_TOLERANCE = 1e-5  # radians and RMS radii; a step below it, far below what samples resolve, ends the iteration
+_DAMPING = 1e-6  # of the trace of the normal equations: directions that no pair holds stay where they are
+_PAIR_LIMIT = 3.0  # median distances; pairs farther apart do not count
+_LEAST_PAIR_LIMIT = 0.05  # RMS radii; the spacing of the samples is no reason to drop a pair
+_SPACING_NODES = 256  # nodes whose distances tell how far apart all are; a choice
+_GOLDEN_RATIO = 0.6180339887498949  # (√5 − 1)/2, whose multiples mod 1 leave the most even gaps
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +49,10 @@ class Side:
         normals = surface.normals / np.where(length > 0, length, 1)[:, None]
         share = np.cumsum(surface.weights)
         # The golden ratio's multiples: any beginning of the sequence is spread over the area.
-        places = np.mod(0.5 + np.arange(probes) * _GOLDEN, 1.0) * share[-1]
+        places = np.mod(0.5 + np.arange(probes) * _GOLDEN_RATIO, 1.0) * share[-1]
         chosen = np.minimum(np.searchsorted(share, places), len(share) - 1)
         tree = cKDTree(surface.points, balanced_tree=False, compact_nodes=False)
-        some = surface.points[:: max(1, len(surface.points) // _SOME)]
+        some = surface.points[:: max(1, len(surface.points) // _SPACING_NODES)]
         usual = float(np.median(np.asarray(tree.query(some, k=2)[0])[:, 1]))
         sparse = np.maximum(surface.weights / np.median(surface.weights), 1)
         return cls(surface.points, normals, usual * np.sqrt(sparse), surface.points[chosen], tree)
@@ -171,7 +171,7 @@ def refine(
         rotations[moving] = turned @ now.rotations
         scales[moving] = factor * now.scales
         shifts[moving] = factor[:, None] * np.einsum("kij,kj->ki", turned, now.shifts) + step[:, 3:6]
-        moving = moving[np.abs(step).max(axis=1) > _STILL]
+        moving = moving[np.abs(step).max(axis=1) > _STEP_TOLERANCE]
         if not len(moving):
             break
     return Poses(rotations, scales, shifts)
@@ -186,7 +186,7 @@ def weakest_axis(source: Side, target: Side, pose: Poses, *, probes: int) -> Flo
 def _normal_equations(pairs: Pairs, reach: float) -> tuple[Float64Array, Float64Array]:
     """Matrices (k, 7, 7) and right sides (k, 7) for turns, shifts and growths, in this order about the origin."""
     distance = np.sqrt(_dot(pairs.gap, pairs.gap))
-    limit = np.clip(_TIGHT * np.median(distance, axis=1), _LEAST, reach)[:, None]
+    limit = np.clip(_PAIR_LIMIT * np.median(distance, axis=1), _LEAST_PAIR_LIMIT, reach)[:, None]
     weight = np.maximum(1 - (distance / limit) ** 2, 0) ** 2
     place, gap, normal = pairs.place, pairs.gap, pairs.normal
     # |n·gap|² to the tangent plane and, weighing less, |gap|² to the point: a row each and three.
@@ -199,7 +199,7 @@ def _normal_equations(pairs: Pairs, reach: float) -> tuple[Float64Array, Float64
     point[..., 6] = place
     rows = np.concatenate((plane[:, :, None], point), axis=2)
     residual = np.concatenate((_dot(gap, normal)[..., None], gap), axis=2)
-    weights = weight[..., None] * np.array([1.0, _SLIDING, _SLIDING, _SLIDING])
+    weights = weight[..., None] * np.array([1.0, _POINT_WEIGHT, _POINT_WEIGHT, _POINT_WEIGHT])
     rows, residual, weights = (array.reshape(len(place), 4 * place.shape[1], -1) for array in (rows, residual, weights))
     weighted = np.swapaxes(rows * weights, 1, 2)
     return weighted @ rows, (weighted @ residual)[..., 0]

@@ -29,7 +29,7 @@ __all__ = [
     "registration_spherical",
 ]
 
-_WHOLE = 0.8  # of the surfaces in touch; where it is less, a second way of seeing them is tried
+_WHOLE = 0.8  # share of the surfaces in touch; where it is less, they are also aligned by their plain area
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class SphericalRegistrationOption:
 
 @dataclass(frozen=True, eq=False)
 class SphericalRegistrationCandidate:
-    """Another way to align the two, which was not chosen."""
+    """Another alignment of the two, which was not chosen."""
 
     transformation: Float64Array
     """(4, 4) from source to target."""
@@ -163,7 +163,7 @@ def registration_spherical(
         found = _aligned(resolved_surface(plain[0]), resolved_surface(plain[1]), option)
         if found.overlap < _WHOLE:
             # Thin parts that only one of the two has weigh less by their area than by what is seen of them.
-            found = max(found, _aligned(*plain, option), key=lambda way: way.overlap)
+            found = max(found, _aligned(*plain, option), key=lambda alignment: alignment.overlap)
         return _result(found, given, option)
 
 
@@ -200,16 +200,16 @@ def _result(
     given: tuple[MeshArrays | PointArrays, MeshArrays | PointArrays],
     option: SphericalRegistrationOption,
 ) -> SphericalRegistrationResult:
-    frames = found.first, found.second
-    unit = frames[1].rms_radius
+    surfaces = found.first, found.second
+    unit = surfaces[1].rms_radius
     limit = option.max_correspondence_distance
     near = found.near if limit is None else limit / unit
-    points = [_measured(*pair) for pair in zip(given, frames, strict=True)]
+    points = [_measured(*pair) for pair in zip(given, surfaces, strict=True)]
     tree = found.target.tree if points[1] is found.target.nodes else cKDTree(points[1])
     moved = found.poses.take([0]).apply(points[0])[0]
     distance, index = (np.asarray(part) for part in tree.query(moved, distance_upper_bound=near * (1 + 1e-12)))
     inlier = np.flatnonzero(distance <= near)
-    transformations = _transformations(found, *frames)
+    transformations = _transformations(found, *surfaces)
     probed = found.distances[:, 0]
     inside = probed <= near
     squares = np.where(inside, probed, 0.0) ** 2
@@ -221,11 +221,11 @@ def _result(
         correlation=float(found.correlations[0]),
         confidence=found.confidence,
         ambiguity=found.ambiguity,
-        scale=float(found.poses.scales[0] * (unit / frames[0].rms_radius)),
+        scale=float(found.poses.scales[0] * (unit / surfaces[0].rms_radius)),
         reflected=bool(np.linalg.det(found.poses.rotations[0]) < 0),
         max_correspondence_distance=near * unit,
-        source_points=_in_own_units(points[0], given[0], frames[0]),
-        target_points=_in_own_units(points[1], given[1], frames[1]),
+        source_points=_in_own_units(points[0], given[0], surfaces[0]),
+        target_points=_in_own_units(points[1], given[1], surfaces[1]),
         candidates=tuple(
             SphericalRegistrationCandidate(
                 transformation=transformations[k].copy(),

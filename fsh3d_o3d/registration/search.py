@@ -15,20 +15,20 @@ from fsh3d_o3d.registration.surface import is_round, shell_coefficients
 from fsh3d_o3d.sphere import estimate_rotation, exponential
 
 _PROBES = 1024  # samples of each side that may search
-_TRIED = (128, 3)  # probes and steps for every candidate
-_JUDGED = 256  # probes that decide among candidates
-_POLISHED = ((192, 6), (1024, 8))  # probes and steps for the one chosen: cheap ones first
-_PLAUSIBLE = 0.2  # candidates whose correlation is lower than the best by more are not worth the steps
-_MIRRORED = 0.85  # a reflection must leave this much less distance than every rotation to be believed
-_TURN = np.radians(15.0)  # rotations closer than this are the same answer
-_NEAR = 0.1  # RMS radii: surfaces this close to each other are in touch
-_SPACINGS = 2.0  # or this many spacings of the samples
-_FAR = 4.0  # usual distances; all that is farther is equally far
-_FAR_LIMITS = (0.05, 0.3)  # RMS radii
-_RESOLVED = 0.005  # RMS radii; residuals below are those of samples and facets
-_EQUAL = 1.25  # poses whose residuals differ by less fit equally well
-_CLEAR = 1.75  # a pose whose rival leaves so much more distance is beyond doubt
-_OVERLAP = (0.6, 0.95)  # shares of the surfaces in touch that are worth nothing, and everything
+_FIRST_FIT = (128, 3)  # probes and steps for every candidate
+_COMPARED = 256  # probes of each side that decide among candidates
+_FINAL_FITS = ((192, 6), (1024, 8))  # probes and steps for the one chosen: cheap ones first
+_CORRELATION_MARGIN = 0.2  # below the best correlation; candidates with less are not fitted, which takes long
+_REFLECTION_RATIO = 0.85  # a reflection must leave this much less distance than every rotation to be believed
+_SAME_ROTATION = np.radians(15.0)  # rotations closer than this are the same answer
+_TOUCHING = 0.1  # RMS radii: surfaces this close to each other are in touch
+_TOUCHING_SPACINGS = 2.0  # the same in spacings of the samples, where these are farther apart
+_OUTLIER_RATIO = 4.0  # median distances; all that is farther counts as equally far
+_OUTLIER_LIMITS = (0.05, 0.3)  # RMS radii that this distance stays within; a choice
+_RESOLVED_DISTANCE = 0.005  # RMS radii; residuals below are those of samples and facets
+_EQUAL_RATIO = 1.25  # poses whose residuals differ by less fit equally well
+_CLEAR_RATIO = 1.75  # a pose whose best rival leaves so many times its residual has full confidence
+_OVERLAP_RANGE = (0.6, 0.95)  # shares of the surfaces in touch with no confidence and with full
 
 Ambiguity = Literal["none", "discrete", "continuous"]
 
@@ -50,9 +50,9 @@ class Alignment:
     ambiguity: Ambiguity
     """Whether other rotations fit as well."""
     first: Surface
-    """The source's frame."""
+    """The source, in its own frame."""
     second: Surface
-    """The target's frame."""
+    """The target, in its own frame."""
     target: Side
     """Where the target was searched."""
 
@@ -64,7 +64,7 @@ class Alignment:
     @property
     def confidence(self) -> float:
         """In [0, 1]: what overlaps, times how clearly the answer is the best."""
-        return _ramp(self.overlap, *_OVERLAP) * _ramp(self.rivalry, 1.0, _CLEAR)
+        return _ramp(self.overlap, *_OVERLAP_RANGE) * _ramp(self.rivalry, 1.0, _CLEAR_RATIO)
 
 
 def align(
@@ -83,15 +83,15 @@ def align(
     start = Poses.centred(rotations, 1.0 if scaling else first.rms_radius / second.rms_radius)
     tried, distances = _tried(source, target, start, correlations, scaling)
     apart = _residuals(distances)
-    order = np.argsort(np.where(np.linalg.det(rotations) < 0, apart / _MIRRORED, apart), kind="stable")
+    order = np.argsort(np.where(np.linalg.det(rotations) < 0, apart / _REFLECTION_RATIO, apart), kind="stable")
     tried, distances = tried.take(order), distances[order]
     best = tried.take([0])
     if polish:
-        for probes, steps in _POLISHED:
+        for probes, steps in _FINAL_FITS:
             best = refine(source, target, best, probes=probes, steps=steps, scaling=scaling)
     beside = _turned(source, target, best)
     apart = _residuals(np.concatenate((_distances(source, target, Poses.joined(best, beside)), distances[1:])))
-    rivalry = apart[1:] / max(apart[0], _RESOLVED)
+    rivalry = apart[1:] / max(apart[0], _RESOLVED_DISTANCE)
     rivalry[2:][~_others(tried, best)[1:]] = np.inf
     poses = Poses.joined(best, tried.take(np.arange(1, len(tried)))) if polish else start.take(order)
     distances[0] = _distances(source, target, best)[0]
@@ -99,7 +99,7 @@ def align(
         poses=poses,
         correlations=correlations[order],
         distances=distances,
-        near=max(_NEAR, _SPACINGS * target.spacing),
+        near=max(_TOUCHING, _TOUCHING_SPACINGS * target.spacing),
         rivalry=float(rivalry.min()),
         ambiguity=_ambiguity(rivalry[:2].min(), rivalry[2:].min(initial=np.inf)),
         first=first,
@@ -115,8 +115,8 @@ def _tried(
 
     Those whose correlation is far below the best stay as they are.
     """
-    count = int(np.count_nonzero(correlations >= correlations[0] - _PLAUSIBLE))
-    probes, steps = _TRIED
+    count = int(np.count_nonzero(correlations >= correlations[0] - _CORRELATION_MARGIN))
+    probes, steps = _FIRST_FIT
     plausible = refine(source, target, start.take(np.arange(count)), probes=probes, steps=steps, scaling=scaling)
     tried = Poses.joined(plausible, start.take(np.arange(count, len(start))))
     return tried, _distances(source, target, tried)
@@ -135,7 +135,7 @@ def _rotations(
 
 def _distances(source: Side, target: Side, poses: Poses) -> Float64Array:
     """Distances (k, 2, m) from samples of one surface to the other and back."""
-    return Pairs.of(source, target, poses, _JUDGED).distance.reshape(len(poses), 2, -1)
+    return Pairs.of(source, target, poses, _COMPARED).distance.reshape(len(poses), 2, -1)
 
 
 def _residuals(distances: Float64Array) -> Float64Array:
@@ -144,7 +144,7 @@ def _residuals(distances: Float64Array) -> Float64Array:
     What is several times as far as usual in the best pose is an outlier, or has no counterpart: all such count alike.
     """
     usual = float(np.median(distances, axis=(1, 2)).min())
-    distances = np.minimum(distances, np.clip(_FAR * usual, *_FAR_LIMITS))
+    distances = np.minimum(distances, np.clip(_OUTLIER_RATIO * usual, *_OUTLIER_LIMITS))
     return np.asarray(np.sqrt(np.mean(distances**2, axis=(1, 2))))
 
 
@@ -152,7 +152,7 @@ def _others(tried: Poses, best: Poses) -> NDArray[np.bool_]:
     """Which poses (k,) are other answers than the best: turned by more, and mirrored like it."""
     cosine = (np.einsum("kij,ij->k", tried.rotations, best.rotations[0]) - 1) / 2
     alike = np.linalg.det(tried.rotations) * np.linalg.det(best.rotations[0]) > 0
-    return np.asarray((cosine < np.cos(_TURN)) & alike)
+    return np.asarray((cosine < np.cos(_SAME_ROTATION)) & alike)
 
 
 def _turned(source: Side, target: Side, best: Poses) -> Poses:
@@ -160,15 +160,15 @@ def _turned(source: Side, target: Side, best: Poses) -> Poses:
 
     Where that changes nothing, the shape has an axis of revolution.
     """
-    axis = weakest_axis(source, target, best, probes=_JUDGED)
-    turns = exponential(np.outer((_TURN, -_TURN), axis))
+    axis = weakest_axis(source, target, best, probes=_COMPARED)
+    turns = exponential(np.outer((_SAME_ROTATION, -_SAME_ROTATION), axis))
     return Poses(turns @ best.rotations, best.scales.repeat(2), best.shifts.repeat(2, axis=0))
 
 
 def _ambiguity(beside: float, elsewhere: float) -> Ambiguity:
-    if beside < _EQUAL:
+    if beside < _EQUAL_RATIO:
         return "continuous"
-    return "discrete" if elsewhere < _EQUAL else "none"
+    return "discrete" if elsewhere < _EQUAL_RATIO else "none"
 
 
 def _ramp(value: float, low: float, high: float) -> float:

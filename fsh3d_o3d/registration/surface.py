@@ -18,14 +18,14 @@ from fsh3d_o3d.shells import ShellFields, ShellSampler, VoxelGrid
 from fsh3d_o3d.sphere import SphericalHarmonicTransform
 
 _RESOLUTION = 0.15  # RMS radii: parts closer than about twice this are seen as one
-_SEEN = 3.0  # RMS radii; what lies farther out is not part of the shape
-_THIN = 0.1  # of the usual density; samples in places much emptier than this are strays
+_OUTER_RADIUS = 3.0  # RMS radii from the centroid; what lies farther out is not part of the shape
+_SPARSE = 0.1  # of the median density; samples in places much emptier than this count little
 _STRAY = 15.9  # times the median share of a point: the bound of `density_corrected` is 16
-_MOST_STRAYS = 0.25  # of all points; if there are more, the cloud is just uneven
-_VOXELS = 40
-_SHELLS = 12
-_WIDTH = np.sqrt(2) / 8  # of the Gaussian of the distance, as in the published descriptor
-_CONSTANT = 0.01  # of the norm; less than this in degrees >= 1 is what sampling leaves of a sphere
+_STRAYS_AT_MOST = 0.25  # of all points; if there are more, the cloud is just uneven
+_VOXELS = 40  # along an edge of the grid: its 0.16 RMS radii are about _RESOLUTION
+_SHELLS = 12  # 1/6 of an RMS radius apart, about the width of the field on them
+_WIDTH = np.sqrt(2) / 8  # RMS radii, of the Gaussian of the distance, as in the published descriptor
+_ROUND = 0.01  # of the norm; less than this in degrees >= 1 is what sampling leaves of a sphere
 
 
 def plain_surface(geometry: MeshArrays | PointArrays, samples: int) -> Surface:
@@ -38,7 +38,7 @@ def plain_surface(geometry: MeshArrays | PointArrays, samples: int) -> Surface:
     """
     surface = surface_of(_thinned(geometry, samples), samples)
     stray = surface.weights > _STRAY * np.median(surface.weights)
-    if surface.triangles is None and 0 < np.count_nonzero(stray) <= _MOST_STRAYS * len(stray):
+    if surface.triangles is None and 0 < np.count_nonzero(stray) <= _STRAYS_AT_MOST * len(stray):
         surface = _reframed(surface, np.where(stray, 0.0, surface.weights))
     return surface
 
@@ -50,7 +50,7 @@ def resolved_surface(surface: Surface) -> Surface:
     """
     density = _unit_grid().density(surface)
     usual = float(np.median(density))
-    return _reframed(surface, surface.weights * density / (density**2 + (_THIN * usual) ** 2))
+    return _reframed(surface, surface.weights * density / (density**2 + (_SPARSE * usual) ** 2))
 
 
 def shell_coefficients(surface: Surface, bandwidth: int) -> Float64Array:
@@ -62,7 +62,7 @@ def shell_coefficients(surface: Surface, bandwidth: int) -> Float64Array:
 
 def is_round(coefficients: Float64Array) -> bool:
     """Whether shells (S, b²) hardly depend on direction, as those of a sphere."""
-    return bool(np.linalg.norm(coefficients[:, 1:]) <= _CONSTANT * np.linalg.norm(coefficients))
+    return bool(np.linalg.norm(coefficients[:, 1:]) <= _ROUND * np.linalg.norm(coefficients))
 
 
 class _DensityGrid(VoxelGrid):
@@ -78,7 +78,7 @@ class _DensityGrid(VoxelGrid):
 
 @functools.cache
 def _unit_grid() -> _DensityGrid:
-    return _DensityGrid(np.zeros((1, 3)), _SEEN, _VOXELS)
+    return _DensityGrid(np.zeros((1, 3)), _OUTER_RADIUS, _VOXELS)
 
 
 @functools.lru_cache(maxsize=4)

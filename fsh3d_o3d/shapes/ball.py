@@ -15,7 +15,7 @@ from scipy.linalg import solve_banded
 from fsh3d_o3d._validation import Float64Array, FloatArray
 from fsh3d_o3d.sphere import NufftEngine, degrees_and_orders, grid_from_directions, resolve_threads, run_all
 
-_TINY = 1e-300
+_TINY = 1e-300  # in the units of the points; nearer to the centre a point has no direction
 
 
 class BallFunction:
@@ -35,15 +35,15 @@ class BallFunction:
         place = np.minimum(radius / self._spacing, last)
         order = np.argsort(place, kind="stable")
         place, radius = place[order], radius[order]
-        way = points[order] / np.maximum(radius, _TINY)[:, None]
-        way[radius <= _TINY] = (0.0, 0.0, 1.0)  # all directions are the same there
+        directions = points[order] / np.maximum(radius, _TINY)[:, None]
+        directions[radius <= _TINY] = (0.0, 0.0, 1.0)  # all directions are the same there
         bandwidth = int(np.sqrt(self._nodes.shape[1]) + 0.5)
 
         def share(number: int, low: int, high: int) -> FloatArray:
             """What a node adds to the points of its slice."""
             apart = np.abs(place[low:high] - (number - 1))
             bump = np.where(apart < 1, 2 / 3 - apart**2 + apart**3 / 2, np.maximum(2 - apart, 0) ** 3 / 6)
-            engine = NufftEngine(grid_from_directions(way[low:high]), bandwidth)
+            engine = NufftEngine(grid_from_directions(directions[low:high]), bandwidth)
             return np.asarray(bump * engine.synthesise(self._nodes[number : number + 1], 1)[0])
 
         # Four nodes reach each point. Points are sorted by radius, so each node's are one slice.

@@ -15,9 +15,9 @@ from fsh3d_o3d.sphere import SphericalGrid, SphericalHarmonicTransform, evaluate
 
 Triangulation = Literal["icosphere", "fibonacci"]
 
-_FEWEST_POINTS = 10_242
-_FEWEST_POINTS_OF_A_LEVEL = 162
-_USUAL_POINTS = 400_000
+_FEWEST_POINTS = 10_242  # vertices: an icosahedron subdivided five times, smooth to look at
+_FEWEST_POINTS_OF_A_LEVEL = 162  # subdivided twice: the least that is still round
+_USUAL_POINTS = 400_000  # vertices, a quarter of a GB to make: more only where 6b² are needed; a choice
 _CONSTANT = math.sqrt(4 * math.pi)  # the coefficient of the function 1
 
 

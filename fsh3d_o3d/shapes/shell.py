@@ -31,8 +31,8 @@ from fsh3d_o3d.sphere import (
     grid_size,
 )
 
-_FEWEST_SHELLS, _MOST_SHELLS = 4, 4096
-_MARGIN = 0.05  # of empty space beyond the surface, in units of the frame
+_FEWEST_SHELLS, _MOST_SHELLS = 4, 4096  # the spline needs three nodes; the upper one only catches slips
+_MARGIN = 0.05  # of empty space beyond the surface, in units of its farthest distance; a choice
 
 
 @dataclass(frozen=True, eq=False)

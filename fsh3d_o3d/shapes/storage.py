@@ -19,7 +19,7 @@ FORMAT_VERSION = 1
 """Raised when files written now could not be read by older versions."""
 STORED_NAMES = {"kind": "geometry"}
 """What a file calls a field of a shape where the names differ: ``kind`` is that of the shape."""
-_MAXIMUM_BYTES = 4 * 2**30
+_MAXIMUM_BYTES = 4 * 2**30  # unpacked: 512 shells of bandwidth 1024; what says it holds more is refused
 
 
 def write_arrays(path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]]) -> None:

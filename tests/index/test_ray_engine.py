@@ -162,7 +162,7 @@ def test_a_name_that_no_host_can_have(no_start, name):
 
 @pytest.mark.parametrize("answer", [b"HTTP/1.1 400 Bad Request\r\n\r\n", b"", None])
 def test_an_address_where_something_else_listens(no_start, monkeypatch, answer):
-    monkeypatch.setattr("fsh3d_o3d.jobs.ray_tasks._ANSWER_PATIENCE", 0.5)
+    monkeypatch.setattr("fsh3d_o3d.jobs.ray_tasks._ANSWER_TIMEOUT", 0.5)
     hold = threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as server:
 
