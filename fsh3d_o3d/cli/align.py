@@ -14,7 +14,7 @@ from fsh3d_o3d.files import WRITABLE_CLOUD_FORMATS, WRITABLE_MESH_FORMATS, read_
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, transformed
 from fsh3d_o3d.registration import SphericalRegistrationOption, SphericalRegistrationResult, registration_spherical
 
-_WHOLE = 0.9  # of the source near the target; less is another shape, or a part
+_WHOLE = 0.9  # share of the source near the target; less is said to be another shape, or a part
 
 
 def add_parser(commands: Any) -> None:
@@ -116,14 +116,14 @@ def _figures(result: SphericalRegistrationResult) -> dict[str, Any]:
 
 
 def _summary(options: argparse.Namespace, result: SphericalRegistrationResult, targets: list[str]) -> list[str]:
-    doubt = ""
+    caveat = ""
     if result.fitness < _WHOLE:
-        doubt = ": the shapes differ, or overlap in part only"
+        caveat = ": the shapes differ, or overlap in part only"
     elif result.ambiguity != "none":
-        doubt = ": other rotations fit about as well"
+        caveat = ": other rotations fit about as well"
     mirrored = ", mirrored" if result.reflected else ""
     return [
-        f"{options.source} onto {options.target}: confidence {result.confidence:.2f}{doubt}",
+        f"{options.source} onto {options.target}: confidence {result.confidence:.2f}{caveat}",
         f"  scale {result.scale:.6g}{mirrored}, {100 * result.fitness:.3g} % of the source within "
         f"{result.max_correspondence_distance:.3g} of the target, RMSE of those {result.inlier_rmse:.3g}",
         *(f"  wrote {target}" for target in targets),

@@ -95,8 +95,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _descriptor(options: argparse.Namespace) -> tuple[Descriptor, str]:
     """What to evaluate, and what to call it."""
-    strange = {"shd": ("repair", "area_weight"), "cpshd": ("option", "rerank")}[options.descriptor]
-    for name in strange:
+    unrelated = {"shd": ("repair", "area_weight"), "cpshd": ("option", "rerank")}[options.descriptor]
+    for name in unrelated:
         if getattr(options, name) is not None:
             raise ValueError(f"--{name.replace('_', '-')} does not belong to --descriptor {options.descriptor}")
     equiangular = options.grid == "equiangular"

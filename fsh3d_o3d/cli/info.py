@@ -17,7 +17,7 @@ from fsh3d_o3d.index import ShapeIndex, is_folder
 from fsh3d_o3d.radial import ACCEPTED_DIRECTIONS, HIDDEN_AREA, StarReport, cloud_center, fit_radial_cloud, star_center
 from fsh3d_o3d.sphere_map import mapping_obstacles
 
-_COARSE_BANDWIDTH = 8
+_COARSE_BANDWIDTH = 8  # of a fit that only tells how many points lie on one radius; quick, a choice
 
 
 def add_parser(commands: Any) -> None:

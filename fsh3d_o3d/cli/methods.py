@@ -18,7 +18,7 @@ from fsh3d_o3d.sphere_map import ConformalMapOption, conformal_map
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
-    """A shape and what was found on the way to it."""
+    """A shape and figures about how it was found."""
 
     shape: Shape
     """The shape."""

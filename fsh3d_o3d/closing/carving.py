@@ -1,6 +1,6 @@
 """Carving: the body around a set of grid vertices that is a ball whatever the set is.
 
-A box is a ball. A vertex whose removal changes nothing of the topology (a *simple* vertex, ``_tetrahedra``) can be
+A box is a ball. A vertex whose removal changes nothing of the topology (a *simple* vertex, ``kuhn_grid``) can be
 taken away, and the ball stays one. Taking away what is farthest from the set first, until nothing more can go, leaves
 the set and, where its topology is not a ball's, membranes across its handles, threads between its parts, and its voids
 filled: what a falling flood of the distance meets last. (Homotopic thinning guided by distance; for the removal of many

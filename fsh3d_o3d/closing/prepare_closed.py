@@ -95,7 +95,7 @@ def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> C
     What is closed, manifold, of one component and genus 0 once equal vertices are merged is returned so. What is nearly
     that is repaired by MeshLab: debris dropped, holes closed, non-manifold places split. What then still has handles or
     several components, and every soup of polygons, is rebuilt: the solid is put on a grid and carved out of a box in a
-    way that keeps it a ball (``_carving``), and its surface drawn onto the original. It is an outer surface: cavities
+    way that keeps it a ball (``carving``), and its surface drawn onto the original. It is an outer surface: cavities
     are filled, what is inside a closed part is gone, sheets become thin bodies, a membrane closes every
     handle, and threads join what hangs apart.
 

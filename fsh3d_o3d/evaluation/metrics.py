@@ -18,13 +18,13 @@ from fsh3d_o3d._validation import Float64Array, FloatArray, IntArray
 
 __all__ = ["RECALL_LEVELS", "ClassScores", "RetrievalMetrics", "RetrievalScores", "retrieval_metrics"]
 
-_RECALL_POINTS = 20
+_RECALL_POINTS = 20  # of the curve, as the benchmark's psbPlot draws it
 RECALL_LEVELS: Float64Array = np.arange(1, _RECALL_POINTS + 1) / _RECALL_POINTS
 """Recall at which ``RetrievalMetrics.precision_recall`` gives the precision: 0.05, 0.10, …, 1."""
 RECALL_LEVELS.setflags(write=False)
 
-_LARGEST_CLASS_LEFT_OUT = 2
-_FIRST_PAGE = 32  # results that the E-measure looks at
+_LARGEST_CLASS_LEFT_OUT = 2  # models; psbTable scores no class this small
+_FIRST_PAGE = 32  # results that the E-measure looks at, as the benchmark defines it
 _BLOCK_ENTRIES = 2**22  # of the distance matrix, ranked at a time: about 150 MB of work space
 
 

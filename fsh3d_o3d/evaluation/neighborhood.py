@@ -13,8 +13,8 @@ from fsh3d_o3d._validation import Float64Array
 
 __all__ = ["neighborhood_distances"]
 
-_OWN = 0.3  # of the distance itself in the mix
-_AGREEING = 2 / 3  # of a neighbour's neighbours have to be one's own before the rest of them join
+_OWN_SHARE = 0.3  # of the distance itself in the mix, as in the paper
+_COMMON_SHARE = 2 / 3  # of a neighbour's neighbours that have to be one's own before the rest join; as in the paper
 
 
 def neighborhood_distances(distances: object, *, neighbors: int = 10) -> Float64Array:
@@ -42,7 +42,7 @@ def neighborhood_distances(distances: object, *, neighbors: int = 10) -> Float64
     np.put_along_axis(ranks, order, np.broadcast_to(np.arange(n), table.shape), axis=1)
     circle, inner = _mutual(ranks, k), _mutual(ranks, k // 2)
     shared = inner.astype(np.float32) @ circle.T.astype(np.float32)  # (whose inner circle, whose circle)
-    agreed = _AGREEING * inner.sum(axis=1)
+    agreed = _COMMON_SHARE * inner.sum(axis=1)
     joining = circle & (agreed < shared.T)
     circle |= joining.astype(np.float32) @ inner.astype(np.float32) > 0
     scale = float(np.median(np.take_along_axis(table, order[:, 1 : k + 1], axis=1)))
@@ -50,7 +50,7 @@ def neighborhood_distances(distances: object, *, neighbors: int = 10) -> Float64
     nearness /= nearness.sum(axis=1, keepdims=True)
     averaged = _averaged(nearness, order[:, : max(1, k // 3)])
     largest = float(table.max())
-    return _OWN * table * (2 / largest if largest > 0 else 1.0) + (1 - _OWN) * _jaccard(averaged)
+    return _OWN_SHARE * table * (2 / largest if largest > 0 else 1.0) + (1 - _OWN_SHARE) * _jaccard(averaged)
 
 
 def _mutual(ranks: NDArray[np.int64], k: int) -> NDArray[np.bool_]:

@@ -9,10 +9,10 @@ from PIL import Image, ImageDraw, ImageFont
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.evaluation.metrics import RECALL_LEVELS
 
-_SIZE = 640  # pixels
-_FINER = 3  # drawn larger and reduced: Pillow's lines have no smooth edges
-_LEFT, _TOP, _RIGHT, _BOTTOM = 76, 44, 616, 576
-_INK, _PALE, _CURVE = (32, 32, 32), (222, 222, 222), (0, 90, 160)
+_SIZE = 640  # pixels of a side
+_SCALE = 3  # times larger when drawn, then reduced: Pillow's lines have no smooth edges
+_LEFT, _TOP, _RIGHT, _BOTTOM = 76, 44, 616, 576  # pixels, of the axes; the rest is for labels
+_INK, _PALE, _CURVE = (32, 32, 32), (222, 222, 222), (0, 90, 160)  # sRGB of text, lines, curve
 
 
 def precision_recall_png(precision: Float64Array, title: str) -> bytes:
@@ -22,35 +22,35 @@ def precision_recall_png(precision: Float64Array, title: str) -> bytes:
         precision: As in ``RetrievalMetrics.precision_recall``.
         title: One short line above the curve.
     """
-    picture = Image.new("RGB", (_SIZE * _FINER, _SIZE * _FINER), "white")
+    picture = Image.new("RGB", (_SIZE * _SCALE, _SIZE * _SCALE), "white")
     draw = ImageDraw.Draw(picture)
-    text = ImageFont.load_default(size=16 * _FINER)
+    text = ImageFont.load_default(size=16 * _SCALE)
     for tick in range(0, 11, 2):
         label = f"{tick / 10:.1f}"
-        draw.line([_at(tick / 10, 0), _at(tick / 10, 1)], fill=_PALE, width=_FINER)
-        draw.line([_at(0, tick / 10), _at(1, tick / 10)], fill=_PALE, width=_FINER)
+        draw.line([_at(tick / 10, 0), _at(tick / 10, 1)], fill=_PALE, width=_SCALE)
+        draw.line([_at(0, tick / 10), _at(1, tick / 10)], fill=_PALE, width=_SCALE)
         draw.text(_moved(_at(tick / 10, 0), 0, 8), label, fill=_INK, font=text, anchor="mt")
         draw.text(_moved(_at(0, tick / 10), -8, 0), label, fill=_INK, font=text, anchor="rm")
-    draw.rectangle([_at(0, 1), _at(1, 0)], outline=_INK, width=_FINER)
+    draw.rectangle([_at(0, 1), _at(1, 0)], outline=_INK, width=_SCALE)
     draw.text(_moved(_at(0.5, 1), 0, -12), title, fill=_INK, font=text, anchor="mb")
     draw.text(_moved(_at(0.5, 0), 0, 32), "recall", fill=_INK, font=text, anchor="mt")
-    _upright(picture, "precision", text, (20 * _FINER, _at(0, 0.5)[1]))
+    _upright(picture, "precision", text, (20 * _SCALE, _at(0, 0.5)[1]))
     points = [_at(r, p) for r, p in zip(RECALL_LEVELS.tolist(), precision.tolist(), strict=True) if p > 0]
     if points:
-        draw.line(points, fill=_CURVE, width=2 * _FINER, joint="curve")
+        draw.line(points, fill=_CURVE, width=2 * _SCALE, joint="curve")
     for x, y in points:
-        draw.ellipse([x - 4 * _FINER, y - 4 * _FINER, x + 4 * _FINER, y + 4 * _FINER], fill=_CURVE)
+        draw.ellipse([x - 4 * _SCALE, y - 4 * _SCALE, x + 4 * _SCALE, y + 4 * _SCALE], fill=_CURVE)
     stream = io.BytesIO()
     picture.resize((_SIZE, _SIZE), Image.Resampling.LANCZOS).save(stream, "PNG", optimize=True)
     return stream.getvalue()
 
 
 def _at(recall: float, precision: float) -> tuple[float, float]:
-    return _FINER * (_LEFT + recall * (_RIGHT - _LEFT)), _FINER * (_BOTTOM - precision * (_BOTTOM - _TOP))
+    return _SCALE * (_LEFT + recall * (_RIGHT - _LEFT)), _SCALE * (_BOTTOM - precision * (_BOTTOM - _TOP))
 
 
 def _moved(point: tuple[float, float], right: float, down: float) -> tuple[float, float]:
-    return point[0] + _FINER * right, point[1] + _FINER * down
+    return point[0] + _SCALE * right, point[1] + _SCALE * down
 
 
 def _upright(

@@ -24,8 +24,8 @@ from fsh3d_o3d.jobs import FailedInput, Outcome, run_tasks
 
 Known = TypeVar("Known")
 
-_ROWS_A_COMMIT = 512
-_SECONDS_A_COMMIT = 5.0  # of work that a kill may cost
+_ROWS_A_COMMIT = 512  # at most, 5 MB with thumbnails, so that many workers do not pile rows up; a choice
+_SECONDS_A_COMMIT = 5.0  # between commits: the work that a kill may cost
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Filling:
         self.store.require_writable()
         self.store.refresh()
         states = FileState.of_all(paths)
-        moves = self._settle(library, states, moved_from)
+        moves = self._update_libraries(library, states, moved_from)
         self._load()
         reasons: dict[str, str] = {}
         todo: dict[str, FileState] = {}
@@ -153,7 +153,7 @@ class Filling:
                 self._write_if_due()
         self._write()
 
-    def _settle(
+    def _update_libraries(
         self, library: str | None, states: Mapping[str, FileState | str], moved_from: Collection[str]
     ) -> dict[bytes, LibraryMove]:
         """Find out where the libraries of the index lie, and put down what is new of it."""
@@ -186,11 +186,11 @@ class Filling:
         failures = self.store.columns(self.store.failures, ["path", "size", "mtime", "reason"]).to_pydict()
         rows = self._rows()
         self._known = frozenset(rows.identities)
-        self._models = dict(self._once(self.store.models, rows.stored, rows.states))
+        self._models = dict(self._unique(self.store.models, rows.stored, rows.states))
         known = zip(map(FileState, failures["size"], failures["mtime"]), failures["reason"], strict=True)
-        self._failures = dict(self._once(self.store.failures, failures["path"], known))
+        self._failures = dict(self._unique(self.store.failures, failures["path"], known))
 
-    def _once(self, table: Any, paths: Iterable[bytes], about: Iterable[Known]) -> Iterator[tuple[str, Known]]:
+    def _unique(self, table: Any, paths: Iterable[bytes], about: Iterable[Known]) -> Iterator[tuple[str, Known]]:
         """Yield the path of each row and what is known; of two with the same path one is removed.
 
         There are two where libraries came to lie inside of each other, or in the same place.

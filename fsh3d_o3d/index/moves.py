@@ -14,7 +14,7 @@ from fsh3d_o3d.index.extraction import FileState, has_buffers
 from fsh3d_o3d.index.library_files import ABSENT, missing_files
 from fsh3d_o3d.index.roots import LibraryRoots, inside, library_of
 
-_SAMPLE = 16  # files whose content is compared; the others by name and size
+_SAMPLE = 16  # files whose content is compared, a choice; the others are by name and size
 _CONTENT = 32  # bytes of a SHA-256, with which an identity begins
 
 
@@ -60,7 +60,7 @@ def moved_libraries(
         moved_from: Names of one folder, all that was in which is to be looked for in ``folder``.
     """
     total = Counter(library_of(stored) for stored in rows.stored)
-    alike: dict[bytes, list[_Alike]] = defaultdict(list)
+    alike: dict[bytes, list[_Namesake]] = defaultdict(list)
     start = inside(folder)
     for stored, before, content in zip(rows.stored, rows.states, rows.identities, strict=True):
         own = library_of(stored)
@@ -70,7 +70,7 @@ def moved_libraries(
                 continue
             state = states.get(path)
             if isinstance(state, FileState) and state.size == before.size:
-                alike[own].append(_Alike(path, content[:_CONTENT], state == before))
+                alike[own].append(_Namesake(path, content[:_CONTENT], state == before))
     found: dict[bytes, LibraryMove] = {}
     for own, location in roots.locations.items():
         told = location in moved_from
@@ -86,7 +86,7 @@ def moved_libraries(
 
 
 @dataclass(frozen=True)
-class _Alike:
+class _Namesake:
     """A file that is called and as large as one that an index knows."""
 
     path: str
@@ -94,7 +94,7 @@ class _Alike:
     same_time: bool
 
 
-def _same(files: Sequence[_Alike]) -> float:
+def _same(files: Sequence[_Namesake]) -> float:
     """Estimate, from a sample, how many files have the content they had.
 
     None, if one has another content though it tells the same time: then what is known of no file can be believed, and

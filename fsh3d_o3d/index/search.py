@@ -24,17 +24,17 @@ from fsh3d_o3d.index.version import TableVersion
 
 EXACT_BELOW = 5_000
 """Rows below which a query is compared with all of them; see ``docs/library.md``."""
-_ROWS_A_PARTITION = 400
-_PROBES = 16  # partitions that are looked into
-_SPARE = 2  # sketches' candidates for each row that is wanted
-_LEAST_CANDIDATES = 256
+_ROWS_A_PARTITION = 400  # of the inverted file: the 16 that are looked into hold about as many as are compared exactly
+_PROBES = 16  # partitions that are looked into at least, or √ of their number
+_CANDIDATES_A_HIT = 2  # candidates by sketches for each row that is wanted, at least
+_LEAST_CANDIDATES = 256  # the first 160 by sketches hold 99.9 % of the ten nearest of 907 models
 _CANDIDATES_A_ROOT = 0.8  # times √(rows): where there are more rows, more of them are alike
-_REINDEX = 0.05  # of the rows, new since the inverted file was made, are too many
-_BLOCK = 512
-_DECODED = 64  # rows
-_PAIRS_A_BLOCK = 2**24
-_ROUNDING = 1.001  # of sums in float32
-_SUMMED = 10  # numbers of a feature: |Σa − Σb| ≤ Σ|a − b|
+_STALE_SHARE = 0.05  # of the rows, new since the inverted file was made, are too many
+_BLOCK = 512  # rows compared at once: 7 MB of features, so that a block and its differences fit the cache
+_ROWS_DECODED = 64  # rows decoded at once, as many as `codec` decodes
+_PAIRS_A_BLOCK = 2**24  # compared by their sketches at once: 64 MB a table of distances
+_ROUNDING = 1.001  # of a bound, for what sums in float32 are off; a pair too many costs an exact comparison
+_NUMBERS_A_SUM = 10  # of a feature: |Σa − Σb| ≤ Σ|a − b| excludes pairs at a tenth of the cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class IndexSearch:
         else:
             rows, found = self._near(models, query, count)
             # Block by block: decoded all at once they would not fit the cache.
-            parts = (found[start : start + _DECODED] for start in range(0, len(found), _DECODED))
+            parts = (found[start : start + _ROWS_DECODED] for start in range(0, len(found), _ROWS_DECODED))
             distances = np.concatenate([np.empty(0), *(self._distances(query.feature, p.features) for p in parts)])
         order = np.argsort(distances, kind="stable")[:count]
         return Candidates(rows[order], distances[order], found[order])
@@ -97,7 +97,7 @@ class IndexSearch:
         with translated(self._store.path, "indexing it"):
             if not moved and any(index.columns == ["sketch"] for index in table.list_indices()):
                 statistics = table.index_stats("sketch_idx")
-                if statistics is not None and statistics.num_unindexed_rows <= _REINDEX * count:
+                if statistics is not None and statistics.num_unindexed_rows <= _STALE_SHARE * count:
                     return
         partitions = max(1, count // _ROWS_A_PARTITION)
         config = IvfFlat(distance_type="l2", num_partitions=partitions, max_iterations=20, sample_rate=64)
@@ -135,7 +135,7 @@ class IndexSearch:
         if not self._l1:
             return shortened(features, self._store.basis), np.empty((len(stored), 0), np.float32)
         roots = signed_roots(stored.numbers["feature"], stored.numbers["feature_step"])
-        sums = np.add.reduceat(features, np.arange(0, features.shape[1], _SUMMED), axis=1)
+        sums = np.add.reduceat(features, np.arange(0, features.shape[1], _NUMBERS_A_SUM), axis=1)
         return shortened(roots, self._store.basis), sums
 
     def _apart(
@@ -162,7 +162,7 @@ class IndexSearch:
 
     def _near(self, models: TableVersion, query: Query, count: int) -> tuple[IntArray, StoredRows]:
         probes = max(_PROBES, math.isqrt(models.count // _ROWS_A_PARTITION))
-        wanted = max(_LEAST_CANDIDATES, _SPARE * count, int(_CANDIDATES_A_ROOT * math.sqrt(models.count)))
+        wanted = max(_LEAST_CANDIDATES, _CANDIDATES_A_HIT * count, int(_CANDIDATES_A_ROOT * math.sqrt(models.count)))
         with translated(self._store.path, "searching it"):
             search = models.table.search(query.sketch, vector_column_name="sketch").distance_type("l2")
             columns = ["signature", "_distance"]

@@ -22,9 +22,9 @@ from fsh3d_o3d.index.extraction import describe
 from fsh3d_o3d.jobs import CachedDescriptor, DescriptorCache, key_of
 from fsh3d_o3d.sphere import icosphere
 
-_EXAMPLES = 300
+_EXAMPLES = 300  # made-up shapes, more than twice the directions that are learned; three to five seconds
 _TYPICAL_NORM = 8.0  # of a sketch: far from both ends of float16
-_SIDES = 12  # of a cylinder
+_SIDES = 12  # of a cylinder; a choice, features hardly see facets
 
 
 @functools.lru_cache(maxsize=4)

@@ -37,15 +37,15 @@ Result = TypeVar("Result")
 
 FORMAT = 3
 """Version of the tables; raised whenever older code would misread them."""
-_ATTEMPTS = 20  # to write while others do
-_PATHS_A_QUERY = 500
-_READINGS = 4  # of versions that others remove while they are read; one that was replaced just now is seldom removed
+_WRITE_ATTEMPTS = 20  # to write while others do, each of which can be the faster one once
+_PATHS_A_QUERY = 500  # so that a condition stays some ten thousand characters; a choice
+_READ_ATTEMPTS = 4  # of versions that others remove meanwhile; one replaced just now is seldom removed
 _TABLES = {"basis.lance", "failures.lance", "roots.lance", "models.lance", FOLDER}
 _CONTROL = re.compile(r"[\x00-\x1f\x7f]")
-_KEPT_SECONDS = 3600  # for which a version stays readable
-_WASTE = 1.5  # times the rows there are: then versions before are removed
-_LITTLE = 2**20  # bytes that nobody minds
-_SMALL_FRAGMENTS = 48  # that are put together; fewer do no harm
+_KEPT_SECONDS = 3600  # for which a version stays readable, longer than any query runs
+_OLD_SHARE = 1.5  # times the bytes of today's rows: where old versions hold more, they are removed
+_SPACE_ALWAYS_LEFT = 2**20  # bytes that old versions may hold in any case
+_SMALL_FRAGMENTS = 48  # that are put together; fewer do no harm to a search
 
 
 class IndexStore:
@@ -168,13 +168,13 @@ class IndexStore:
         Raises:
             ShapeIndexError: The index is damaged, or was rewritten again and again while it was read.
         """
-        for attempt in range(_READINGS):
+        for attempt in range(_READ_ATTEMPTS):
             before = self._number(table)
             try:
                 # Opening it is part of the trial: others may remove a version as soon as there is a newer one.
                 return work(self._opened(table))
             except ShapeIndexError:
-                if attempt == _READINGS - 1 or self._number(table) == before:
+                if attempt == _READ_ATTEMPTS - 1 or self._number(table) == before:
                     raise
         raise AssertionError  # not reached
 
@@ -248,7 +248,7 @@ class IndexStore:
                 table.checkout_latest()
                 about = table.stats()
             many = about["fragment_stats"]["num_small_fragments"] > _SMALL_FRAGMENTS
-            if many or self._old_bytes(name) > _WASTE * (about["total_bytes"] + _LITTLE):
+            if many or self._old_bytes(name) > _OLD_SHARE * (about["total_bytes"] + _SPACE_ALWAYS_LEFT):
                 kept = timedelta(seconds=_KEPT_SECONDS)
                 self.commit(table, functools.partial(table.optimize, cleanup_older_than=kept), "compacting it")
                 moved = moved or table is self.models
@@ -288,12 +288,12 @@ class IndexStore:
 
 def _retried(table: Any, call: Any) -> None:
     """Call; again where another writer was faster and Lance says so."""
-    for attempt in range(_ATTEMPTS):
+    for attempt in range(_WRITE_ATTEMPTS):
         try:
             call()
             return
         except (RuntimeError, ValueError, OSError) as error:  # noqa: PERF203 - the loop is of attempts
-            if "conflict" not in str(error).lower() or attempt == _ATTEMPTS - 1:
+            if "conflict" not in str(error).lower() or attempt == _WRITE_ATTEMPTS - 1:
                 raise
             table.checkout_latest()
 

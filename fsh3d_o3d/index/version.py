@@ -13,7 +13,7 @@ from fsh3d_o3d.index.checksums import require_checksums
 from fsh3d_o3d.index.columns import is_one_of
 from fsh3d_o3d.index.errors import ShapeIndexError, translated
 
-_ROWS_A_BATCH = 4096
+_ROWS_A_BATCH = 4096  # read at once: 40 MB with their thumbnails
 
 
 @dataclass(frozen=True, eq=False)

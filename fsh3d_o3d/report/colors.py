@@ -17,7 +17,7 @@ NO_VALUE_COLOR = (0.55, 0.55, 0.55)
 
 # OKLCH control points: lightness, chroma, hue in degrees. Lightness falls steadily, so that the order of errors
 # survives greyscale and colour blindness; the light end is the plain surface, so that a good reconstruction looks calm.
-_CONTROL = np.array(
+_CONTROL_POINTS = np.array(
     [
         [0.955, 0.025, 105.0],
         [0.860, 0.110, 85.0],
@@ -27,7 +27,7 @@ _CONTROL = np.array(
         [0.340, 0.120, -30.0],
     ]
 )
-_STEPS = 256
+_STEPS = 256  # of the ramp: one for each value of an 8-bit channel
 
 # OKLab (B. Ottosson, 2020): cube roots of cone responses to Lab and cone responses to linear sRGB.
 _LAB_TO_CONES = np.array(
@@ -97,8 +97,8 @@ def to_srgb(linear: Any) -> Float64Array:
 
 
 def _ramp(positions: Float64Array) -> Float64Array:
-    knots = np.linspace(0, 1, len(_CONTROL))
-    lightness, chroma, hue = (np.interp(positions, knots, column) for column in _CONTROL.T)
+    knots = np.linspace(0, 1, len(_CONTROL_POINTS))
+    lightness, chroma, hue = (np.interp(positions, knots, column) for column in _CONTROL_POINTS.T)
     angle = np.radians(hue)
     lab = np.stack((lightness, chroma * np.cos(angle), chroma * np.sin(angle)), axis=-1)
     return to_srgb(cast(Float64Array, (lab @ _LAB_TO_CONES.T) ** 3 @ _CONES_TO_RGB.T))

@@ -14,7 +14,7 @@ from fsh3d_o3d import _validation as check
 
 _SMALLEST = 13  # pixels of a caption's letters
 _GAP = 12  # pixels between pictures and around captions
-_TEXT_COLOR = (40, 40, 40)
+_TEXT_COLOR = (40, 40, 40)  # sRGB of captions, nearly black
 _ELLIPSIS = "..."  # the built-in font need not have the one-character form
 
 

@@ -21,7 +21,7 @@ from fsh3d_o3d.report.view import TOWARDS_VIEWER, camera_eye, xyz
 
 __all__ = ["reconstruction_picture", "write_reconstruction_page"]
 
-_STILL = 400  # pixels of a still picture
+_SIDE = 400  # pixels, beside each other in a row of three
 _QUANTILE = 0.99  # of the errors, where the colour scale ends, so that one spike does not hide everything else
 
 
@@ -78,7 +78,7 @@ def write_reconstruction_page(
         data=_page_data(first, shapes, relative, top, spectrum, reach),
         title=title,
         shapes=shapes,
-        pictures=[encode_png(image) for image in _pictures(first, second, relative, top, background=None, size=_STILL)],
+        pictures=[encode_png(image) for image in _pictures(first, second, relative, top, background=None, size=_SIDE)],
         ramp=color_stops(),
         scale_end=top,
         largest_error=float(relative.max()),

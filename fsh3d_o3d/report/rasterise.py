@@ -15,9 +15,9 @@ from fsh3d_o3d.report.shading import Fragments, facing
 from fsh3d_o3d.report.view import Raster
 
 _TILE = 4  # pixels to a side that share out the directions of the occlusion rays
-_RAYS = 4  # occlusion rays a pixel; a tile has 64
-_REACH = 0.6  # of the bounding sphere's radius, beyond which nothing shuts out light
-_LIFT = 2e-3  # of the radius, off the surface, where occlusion rays begin: some facets' sagitta
+_RAYS = 4  # occlusion rays a pixel; the 16 pixels of a tile have 64 together
+_OCCLUSION_REACH = 0.6  # of the bounding sphere's radius, beyond which nothing shuts out light
+_RAY_OFFSET = 2e-3  # of the radius, off the surface, where occlusion rays begin: some facets' sagitta
 _DEPTH_STEPS = 2**31  # of the depth buffer over view space
 _FAR = 1e6  # pixels, where a point is surely outside of the picture
 _NEIGHBOURS = 16  # of a point, for its normal
@@ -105,11 +105,11 @@ def _openness(scene: Any, place: Float64Array, normal: Float64Array, pixel: IntA
     row, column = np.divmod(pixel, raster.width)
     share = (row % _TILE) * _TILE + column % _TILE
     offsets = _sphere(_TILE**2 * _RAYS)
-    start = place + _LIFT * normal
+    start = place + _RAY_OFFSET * normal
     open_rays = np.zeros(len(pixel))
     for ray in range(_RAYS):
         towards = unit(normal + 0.999 * offsets[share + _TILE**2 * ray])  # cosine-distributed; never of length zero
-        hit = scene.test_occlusions(ray_tensor(start, towards), tnear=0.0, tfar=_REACH)
+        hit = scene.test_occlusions(ray_tensor(start, towards), tnear=0.0, tfar=_OCCLUSION_REACH)
         open_rays += ~hit.numpy()
     image, seen = np.zeros((2, raster.height * raster.width))
     image[pixel], seen[pixel] = open_rays / _RAYS, 1

@@ -23,7 +23,7 @@ from fsh3d_o3d.report.view import camera_eye, positions
 __all__ = ["SearchResult", "write_search_page"]
 
 _SIDE = 220  # pixels of a picture
-_MOST = 8_000  # triangles or points of one shape: a page holds dozens
+_MOST_ELEMENTS = 8_000  # triangles or points of one shape: a page holds dozens
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def write_search_page(path: str | os.PathLike[str], results: Sequence[SearchResu
     shown, data = [], []
     for result in results:
         cube = UnitCube.around(positions(result.geometry))
-        query = displayed(result.geometry, cube, _MOST)
+        query = displayed(result.geometry, cube, _MOST_ELEMENTS)
         shapes = [_shape(hit, cube) for hit in result.hits]
         shown.append((result.title, _picture(result.geometry, ORIGINAL_COLOR), shapes))
         data.append(_overlays(query, shapes))
@@ -86,7 +86,7 @@ def _shape(hit: Hit, cube: UnitCube) -> _Shape:
     try:
         aligned = transformed(read_geometry_arrays(hit.path), hit.transformation)
         picture = _picture(aligned, RECONSTRUCTION_COLOR)
-        shape = displayed(aligned, cube, _MOST)
+        shape = displayed(aligned, cube, _MOST_ELEMENTS)
     except (GeometryError, OSError) as error:
         reason = "not there any more" if isinstance(error, FileNotFoundError) else "cannot be read now"
         return _Shape(hit, hit.thumbnail, f"The file is {reason}: picture as indexed.", None)

@@ -15,7 +15,7 @@ from fsh3d_o3d.report.colors import to_linear, to_srgb
 # key light is just below white.
 _KEY = np.array([-0.48, 0.62, 0.62]), 0.82
 _FILL = np.array([0.85, 0.05, 0.52]), 0.15
-_AMBIENT, _SKY = 0.19, 0.05
+_AMBIENT, _SKY = 0.19, 0.05  # strengths; the second with the height of the normal, as from a sky
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from fsh3d_o3d.report.view import DEFAULT_DIRECTION, Raster, View
 
 __all__ = ["encode_png", "error_colors", "render_thumbnail", "side_by_side"]
 
-_MOST_PIXELS = 4096
+_MOST_PIXELS = 4096  # a side: drawn at twice that; twice as many would take four times the memory
 _MOST_POINTS_WITHOUT_NORMALS = 300_000  # more do not show in a thumbnail, and normals take time
 
 

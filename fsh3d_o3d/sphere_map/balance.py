@@ -1,7 +1,7 @@
 """Area balancing: from a valid map of a surface to the sphere to one that gives every part its share.
 
 A conformal map leaves a limb with a speck of the sphere, and band-limited functions then cannot tell its shape.
-``balance`` minimises the energy of ``_balance_energy`` by Newton's method with the Hessian of every triangle made
+``balance`` minimises the energy of ``balance_energy`` by Newton's method with the Hessian of every triangle made
 positive semidefinite, so that each direction descends; a step goes at most most of the way to the first flip, which is
 the smallest root of the triangles' determinants, cubic polynomials in the step.
 """

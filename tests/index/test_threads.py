@@ -28,7 +28,7 @@ def picture(geometry) -> bytes:
 def rewrite(index: str, paths: list[str], begin, rounds: int) -> None:
     """Write, delete, put together and remove old versions, over and over."""
     _index_store._SMALL_FRAGMENTS = 2
-    _index_store._LITTLE = 0
+    _index_store._SPACE_ALWAYS_LEFT = 0
     _index_store._KEPT_SECONDS = 0.001
     found = ShapeIndex.open(index, option=QUICK)
     store = found._store

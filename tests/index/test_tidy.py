@@ -41,11 +41,11 @@ def test_small_writes_are_put_together(filled, monkeypatch):
 
 def test_old_versions_go_after_an_hour(filled, monkeypatch, tmp_path):
     index, paths = filled
-    monkeypatch.setattr(store, "_LITTLE", 0)
+    monkeypatch.setattr(store, "_SPACE_ALWAYS_LEFT", 0)
     monkeypatch.setattr(store, "_SMALL_FRAGMENTS", 4)
     assert index._store.tidy()
     monkeypatch.undo()
-    monkeypatch.setattr(store, "_LITTLE", 0)
+    monkeypatch.setattr(store, "_SPACE_ALWAYS_LEFT", 0)
     together = data_files(tmp_path / "index")
     assert len(together) == 9  # eight of one row, and one of all
     assert not index._store.tidy()  # somebody may still be reading them
