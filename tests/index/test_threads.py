@@ -58,7 +58,7 @@ def test_threads_query_while_a_process_rewrites(tmp_path, monkeypatch, exact_bel
     begin = SPAWN.Event()
     # Half of the models come and go; the others must be among the hits of every query. Old versions are removed once a
     # round, fewer times than a query begins anew: it is answered however slow the machine.
-    writer = SPAWN.Process(target=rewrite, args=(name, paths[6:], begin, _index_store._READINGS - 1))
+    writer = SPAWN.Process(target=rewrite, args=(name, paths[6:], begin, _index_store._READ_ATTEMPTS - 1))
     writer.start()
     ready = threading.Barrier(THREADS)
 
@@ -154,7 +154,7 @@ def test_an_index_that_never_rests_is_an_error_in_the_end(tmp_path, monkeypatch)
     removed = superseded(index, 100, monkeypatch)
     with pytest.raises(ShapeIndexError):
         index.query(blob(1), top=1)
-    assert removed() == _index_store._READINGS
+    assert removed() == _index_store._READ_ATTEMPTS
 
 
 def test_threads_write_one_index(tmp_path):
