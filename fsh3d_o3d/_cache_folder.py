@@ -1,4 +1,4 @@
-"""Where this user's cache lies."""
+"""The user's cache folder: the platform's, or the one that FSH3D_CACHE_DIR names."""
 
 from __future__ import annotations
 

@@ -14,11 +14,11 @@ FloatArray = NDArray[np.floating[Any]]
 Float64Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-MAXIMUM_BANDWIDTH = 4096
+MAXIMUM_BANDWIDTH = 4096  # a choice: a transform on 6b² points takes 12 GB there, near the limit below
 _LONGEST_SECONDS = 1e7  # four months; timers take some hundred years
 _LARGEST_MEMORY_LIMIT = 2**60  # bytes, an exbibyte; limits take 2⁶³, to which what is in use already is added
-_DEFAULT_MEMORY_LIMIT = 16 * 2**30
-_NEGLIGIBLE_MEMORY = 2**26  # asking what is free takes longer than some transforms
+_DEFAULT_MEMORY_LIMIT = 16 * 2**30  # bytes of one temporary, a choice: what a desktop has
+_NEGLIGIBLE_MEMORY = 2**26  # bytes, a choice: asking what is free takes longer than some transforms
 
 
 def unmasked(value: object, name: str) -> Any:

@@ -17,7 +17,7 @@ from fsh3d_o3d._validation import IntArray
 from fsh3d_o3d.closing.kuhn_grid import NEIGHBORS, flat_offsets, simple_vertices
 from fsh3d_o3d.geometry import BoolArray
 
-_BAND = 0.5  # of the distance, in edges of the grid, that is carved at once
+_BAND = 0.5  # edges of the grid, a choice: vertices whose distances differ by less are carved at once
 
 
 def carve(kept: BoolArray) -> BoolArray:

@@ -20,9 +20,9 @@ from fsh3d_o3d.geometry import BoolArray, UnitScene, closest_points
 REACH = 2.0
 """Distances are exact below this many grid cells."""
 _SEALED = 0.88  # of a cell: just above half of its diagonal, the longest edge, so that a sheet seals its two sides
-_GROWTH = 2  # steps through edges that do not cross the surface: enough from _SEALED to the surface
-_COARSEST = 16  # vertices
-_SLACK = 1e-3  # for what float32 gets wrong about distances
+_GROWTH_STEPS = 2  # through edges that do not cross the surface: enough from _SEALED to the surface
+_COARSEST_BLOCK = 16  # vertices along an edge, a power of two; a choice
+_DISTANCE_ERROR = 1e-3  # cells, more than float32 gets wrong on grids of thousands of cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ def enclose(scene: UnitScene, shape: tuple[int, int, int]) -> Enclosure:
     grid = _Edges(scene, reach, shape)
     front = np.flatnonzero(reach <= _SEALED)
     grown = np.zeros(0, dtype=np.int64)
-    for _ in range(_GROWTH):
+    for _ in range(_GROWTH_STEPS):
         start, end = grid.edges(front[~flat[front]], flat)
         new = np.unique(start[~grid.crossed(start, end)])
         flat[new] = True
@@ -85,7 +85,7 @@ class _Edges:
         origin = np.stack(np.unravel_index(low, self._shape), axis=1).astype(np.float64)
         along = np.stack(np.unravel_index(high, self._shape), axis=1) - origin
         length = np.linalg.norm(along, axis=1)
-        crossed = self._distance[start] + self._distance[end] <= length + _SLACK
+        crossed = self._distance[start] + self._distance[end] <= length + _DISTANCE_ERROR
         which = np.flatnonzero(crossed)
         crossed[which] = self._scene.cast(origin[which], along[which])[0] <= 1
         return np.asarray(crossed)
@@ -96,13 +96,13 @@ def _near_surface(scene: UnitScene, shape: tuple[int, int, int]) -> tuple[Float6
 
     By halving the blocks of vertices that the surface may be near.
     """
-    size = _COARSEST
+    size = _COARSEST_BLOCK
     axes = (np.arange(0, n, size) for n in shape)
     blocks = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     while size > 1:
         middle = blocks.astype(np.float64) + (size - 1) / 2
         away = np.linalg.norm(closest_points(scene, middle) - middle, axis=1)
-        near = blocks[away <= REACH + np.sqrt(3) / 2 * (size - 1) + _SLACK]
+        near = blocks[away <= REACH + np.sqrt(3) / 2 * (size - 1) + _DISTANCE_ERROR]
         size //= 2
         halves = size * np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
         blocks = (near[:, None] + halves).reshape(-1, 3)
@@ -110,5 +110,5 @@ def _near_surface(scene: UnitScene, shape: tuple[int, int, int]) -> tuple[Float6
     away = closest_points(scene, blocks.astype(np.float64)) - blocks
     distance, touched = np.full(shape, REACH), np.zeros(shape, dtype=np.bool_)
     distance[tuple(blocks.T)] = np.minimum(np.linalg.norm(away, axis=1), REACH)
-    touched[tuple(blocks.T)] = np.abs(away).max(axis=1) <= 0.5 + _SLACK
+    touched[tuple(blocks.T)] = np.abs(away).max(axis=1) <= 0.5 + _DISTANCE_ERROR
     return distance, touched

@@ -41,17 +41,19 @@ __all__ = ["Closing", "ClosingMethod", "prepare_closed"]
 ClosingMethod = Literal["as given", "repaired", "carved"]
 """How a closed surface was made."""
 
-_SAMPLES = 20_000
+_SAMPLES = (
+    20_000  # points of either surface that distances are taken at, a choice: their RMS is good to about a percent
+)
 _NO_AREA = 1e-14  # of the unit cube: thinner than float64 tells from a line
-_DEBRIS = 1e-3  # of the area: parts that add up to no more than this are left out
-_MENDABLE = 0.2  # of the edges: with more of them open or shared by three triangles, a mesh is a soup
-_CAPS = 0.25  # of the area: larger openings belong to the shape and are not capped by a repair
-_LOSS = 1e-3  # RMS in the unit cube: a repair that takes away more is not used
-_CLEARANCE = 0.15  # of an edge of the grid; see ``between``
-_LIFT = 0.05  # cells between a sheet and either side of the surface around it
+_DEBRIS = 1e-3  # of the area, a choice: parts that add up to no more than this are left out
+_REPAIRABLE = 0.2  # of the edges, a choice: with more of them open or shared by three triangles, a mesh is a soup
+_LARGEST_CAP = 0.25  # of the area, a choice: larger openings belong to the shape and are not capped by a repair
+_LARGEST_LOSS = 1e-3  # RMS in the unit cube, a choice: a repair that takes away more is not used
+_CLEARANCE = 0.15  # of an edge of the grid, a choice; see ``between``
+_LIFT = 0.05  # cells, a choice, between a sheet and either side of the surface around it
 # Around the mesh, in cells: room to carve in, and no plane of a usual model at a plane of the grid.
 _MARGIN = np.array([3.13, 3.27, 3.41])
-_NODE_BYTES = 80  # measured: distances, labels and ranks at once
+_NODE_BYTES = 80  # bytes of memory a vertex of the grid takes, measured: distances, labels and ranks at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +197,7 @@ def _repaired(mesh: MeshArrays, measures: MeshMeasures) -> tuple[MeshArrays, tup
     if before.closed and before.vertex_manifold and before.orientable and not before.degenerate_triangles:
         return oriented(main) or main, notes  # nothing that MeshLab could mend
     table = EdgeTable(main.triangles)
-    if np.count_nonzero(table.faces != 2) > _MENDABLE * len(table.faces):
+    if np.count_nonzero(table.faces != 2) > _REPAIRABLE * len(table.faces):
         return mesh, ()
     try:
         result = repair_mesh(main)
@@ -209,8 +211,8 @@ def _repaired(mesh: MeshArrays, measures: MeshMeasures) -> tuple[MeshArrays, tup
         after = measure_mesh(mended)
     if (
         not after.closed
-        or after.area > (1 + _CAPS) * before.area
-        or _rms(_distances(area_samples(main, _SAMPLES)[0], mended)) > _LOSS
+        or after.area > (1 + _LARGEST_CAP) * before.area
+        or _rms(_distances(area_samples(main, _SAMPLES)[0], mended)) > _LARGEST_LOSS
     ):
         return mesh, ()
     counts = f"{len(main.triangles)} triangles became {len(mended.triangles)}"

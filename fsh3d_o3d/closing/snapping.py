@@ -7,12 +7,12 @@ import numpy as np
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.geometry import BoolArray, UnitScene, closest_points, longest_edges, triangle_normals
 
-_STEPS = 3
-_EVEN = 0.5  # share of the way to the middle of the neighbours, per step
-_TURN = 0.2  # cosine: triangles may turn by less than this in one step
-_SMALLEST = 2e-3  # height over longest edge of a triangle
-_OUTWARD = 0.4  # cells
-_NEAR = 1.6  # cells: vertices farther from the surface than this are not drawn to it
+_STEPS = 3  # of smoothing and drawing, a choice
+_SMOOTHING = 0.5  # of the way to the mean of the neighbours in each step, a choice
+_LEAST_COSINE = 0.2  # between normals before and after a step, a choice: a triangle turns by 78° at most
+_LEAST_HEIGHT = 2e-3  # over the longest edge of a triangle, a choice: below, it counts as flattened
+_OUTWARD = 0.4  # cells, a choice: from where the closer face of a wall is looked for
+_FARTHEST_DRAWN = 1.6  # cells, a choice: vertices farther from the surface than this are not drawn to it
 
 
 def fit(
@@ -32,7 +32,7 @@ def fit(
     current = vertices
     for step in range(_STEPS):
         normal = _vertex_normals(current, triangles)
-        pull = _EVEN * (_neighbor_means(current, triangles) - current)
+        pull = _SMOOTHING * (_neighbor_means(current, triangles) - current)
         smooth = current + pull
         along = pull - np.einsum("ij,ij->i", pull, normal)[:, None] * normal
         free = np.flatnonzero(~held)
@@ -40,7 +40,7 @@ def fit(
         # First seen from farther out: of a wall's two faces the one on this side is then the closer one.
         outward = _OUTWARD if step == 0 else 0.0
         target = closest_points(scene, start + outward * normal[free])
-        near = np.linalg.norm(target - start, axis=1) <= _NEAR
+        near = np.linalg.norm(target - start, axis=1) <= _FARTHEST_DRAWN
         drawn = smooth.copy()
         drawn[free[near]] = (target + lift[free, None] * normal[free])[near]
         current = _first_valid((drawn, smooth, current), triangles)
@@ -60,7 +60,7 @@ def _first_valid(choices: tuple[Float64Array, ...], triangles: IntArray) -> Floa
     while True:
         turned, height = _shape(result, triangles[suspects])
         cosine = np.einsum("ij,ij->i", turned, normal[suspects])
-        bad = (cosine < _TURN) | (height < np.minimum(_SMALLEST, quality[suspects]))
+        bad = (cosine < _LEAST_COSINE) | (height < np.minimum(_LEAST_HEIGHT, quality[suspects]))
         back = np.unique(triangles[suspects[bad]])
         back = back[taken[back] < len(choices) - 1]
         if back.size == 0:

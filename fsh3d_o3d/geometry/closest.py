@@ -8,7 +8,7 @@ from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.geometry.rays import UnitScene
 from fsh3d_o3d.geometry.triangles import point_triangle_offsets
 
-_CHUNK = 2**15  # points at a time, so that their triangles stay in the cache
+_CHUNK = 2**15  # points at a time, a choice, so that their triangles stay in the cache
 
 
 def closest_points(scene: UnitScene, points: Float64Array) -> Float64Array:

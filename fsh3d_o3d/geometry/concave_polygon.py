@@ -16,12 +16,12 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 
 _SMALL = 2000  # corners; ear clipping takes some milliseconds
 _HOPELESS = 20_000  # corners; ear clipping of more takes minutes where the polygon crosses itself everywhere
-_ATTEMPTS = 32  # lines on which a diagonal is looked for
+_ATTEMPTS = 32  # lines on which a diagonal is looked for, a choice
 _GOLDEN_ANGLE = 2.399963  # radians; multiples of it fall on no axis and are spread evenly
-_LEVELS = (0.5, 0.3, 0.7, 0.4, 0.6, 0.2, 0.8)  # share of the corners below the line
-_STRETCHES = 4  # of a line inside the polygon, those with the most corners on both sides first
-_BALANCED = 1 / 4  # of the corners on the smaller side of a diagonal: good enough to look no further
-_LEAST = 1 / 50  # same; less is no progress
+_LEVELS = (0.5, 0.3, 0.7, 0.4, 0.6, 0.2, 0.8)  # share of the corners below the line, a choice: the middle first
+_SEGMENTS = 4  # of a line inside the polygon, a choice: those with the most corners on both sides first
+_BALANCED = 1 / 4  # of the corners on the smaller side of a diagonal, a choice: good enough to look no further
+_LEAST_SHARE = 1 / 50  # of the corners on the smaller side, a choice: less is no progress
 
 
 def triangulate(points: Float64Array) -> IntArray | None:
@@ -55,7 +55,7 @@ def triangulate(points: Float64Array) -> IntArray | None:
 def _balanced_diagonal(points: Float64Array) -> tuple[int, int] | None:
     """Return two corners i < j that see each other and have many corners on both sides; None where none is found."""
     size = len(points)
-    best, best_share = None, _LEAST
+    best, best_share = None, _LEAST_SHARE
     for attempt in range(_ATTEMPTS):
         angle = attempt * _GOLDEN_ANGLE
         line = np.array([np.cos(angle), np.sin(angle)])
@@ -83,8 +83,8 @@ def _across(along: Float64Array, height: Float64Array, level: float) -> list[tup
     apart = np.abs(start[left] - start[right])
     balance = np.minimum(apart, len(height) - apart)
     found = []
-    for stretch in np.argsort(-balance, kind="stable")[:_STRETCHES].tolist():
-        a, b = left[stretch], right[stretch]
+    for segment in np.argsort(-balance, kind="stable")[:_SEGMENTS].tolist():
+        a, b = left[segment], right[segment]
         up = height - level
         between = (along > place[a] + up * slope[a]) & (along < place[b] + up * slope[b])
         nearest = []

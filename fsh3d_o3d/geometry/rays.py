@@ -18,7 +18,7 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.triangles import triangle_normals
 
-_GRAZING = 1e-4  # in the unit cube: some thousand float32 steps
+_GRAZING = 1e-4  # length in the unit cube, a choice: some thousand float32 steps
 _TILT = 1e-6  # radians: some ten float32 steps, enough to leave an edge that a ray slipped through
 
 

@@ -18,10 +18,10 @@ from fsh3d_o3d.geometry.rays import UnitCube, UnitScene
 from fsh3d_o3d.geometry.topology import EdgeTable
 from fsh3d_o3d.geometry.triangles import longest_edges, point_triangle_distance, triangle_normals
 
-_CHUNK = 2**17  # points at a time, for memory
-_STEPS = 8  # to neighbouring triangles, until none is closer
+_CHUNK = 2**17  # points at a time, for memory; a choice
+_STEPS = 8  # to neighbouring triangles at most, until none is closer; a choice
 _THIN = 8.0  # longest edge over height, beyond which float32 misplaces closest points by more than its own rounding
-_BACK = 1e-5  # how far behind a point, in the unit cube, its rays begin, so as to meet the surface it lies on
+_RAY_SETBACK = 1e-5  # in the unit cube: rays begin this far behind a point, so as to meet the surface it lies on
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ class _DistanceMeter:
             normal = self._normals[closest]
             axes = (np.broadcast_to(axis, points.shape) for axis in np.eye(3))
             for direction in (normal, -normal, *axes):
-                _, met = self._scene.cast(points - _BACK * direction, direction)
+                _, met = self._scene.cast(points - _RAY_SETBACK * direction, direction)
                 _keep_better(points, np.arange(len(points)), met, self._corners, closest, best)
         # float32 may also name a triangle beside the closest one; from there, neighbours lead to it.
         moving = np.arange(len(points))

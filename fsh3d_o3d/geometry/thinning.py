@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, IntArray
 
-_STEPS = 2.0**16  # to the median distance from the mean: far coarser than rounding, far finer than points lie apart
+_STEPS = (
+    2.0**16
+)  # to the median distance from the mean, a choice: far coarser than rounding, far finer than points lie apart
 _FARTHEST = 2.0**62  # steps; farther ones count as this far, which int64 holds
 # SplitMix64 (Steele, Lea and Flood 2014): a bijection of 64-bit numbers whose output passes for random.
 _INCREMENT = np.uint64(0x9E3779B97F4A7C15)

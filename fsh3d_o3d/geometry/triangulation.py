@@ -14,7 +14,7 @@ from fsh3d_o3d.sphere import icosphere
 
 __all__ = ["fibonacci_triangulation", "icosphere", "sphere_mesh"]
 
-_MAXIMUM_POINTS = 10 * 2000**2 + 2  # of the largest icosphere
+_MAXIMUM_POINTS = 10 * 2000**2 + 2  # of the largest icosphere, of frequency 2000: 1 GB of positions, a choice
 
 
 def fibonacci_triangulation(directions: Float64Array) -> tuple[Float64Array, IntArray]:

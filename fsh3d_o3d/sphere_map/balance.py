@@ -19,12 +19,12 @@ from fsh3d_o3d.sphere_map.mobius import normalized
 from fsh3d_o3d.sphere_map.validity import cross, orientations
 
 AREA_WEIGHT = 2.0
-"""The α that reconstructs best."""
+"""The α that reconstructs best, without unit."""
 
-_TINY, _SMALL = 400, 3000  # vertices of a level; see balance_level
-_SHORT_OF_FLIP = 0.85  # of the way to the first flip
-_SUFFICIENT = 1e-4  # of the decrease that the slope promises (Armijo)
-_HALVINGS = 40
+_TINY, _SMALL = 400, 3000  # vertices of a level, a choice; see balance_level
+_SHORT_OF_FLIP = 0.85  # of the way to the first flip, a choice: at the flip itself the energy is infinite
+_SUFFICIENT = 1e-4  # of the decrease that the slope promises (Armijo's usual constant)
+_HALVINGS = 40  # of a step, which is then far below rounding of what it began as
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,12 +132,12 @@ def _newton_step(measure: BalanceEnergy, system: BlockSystem, points: Float64Arr
     axis[np.argmin(np.abs(columns), axis=0), np.arange(columns.shape[1])] = 1.0
     first = cross(columns, axis)
     first /= np.sqrt(np.square(first).sum(axis=0))
-    frames = np.stack((first, cross(columns, first)))
-    gradient = np.einsum("dxn,xn->nd", frames, measure.gradient(columns))
-    solution = system.directions(measure.factors(columns, frames), gradient)
+    tangents = np.stack((first, cross(columns, first)))
+    gradient = np.einsum("dxn,xn->nd", tangents, measure.gradient(columns))
+    solution = system.directions(measure.factors(columns, tangents), gradient)
     if solution is None:
         return np.zeros_like(points), 0.0
-    return np.einsum("dxn,nd->nx", frames, solution), float((gradient * solution).sum())
+    return np.einsum("dxn,nd->nx", tangents, solution), float((gradient * solution).sum())
 
 
 def _line_search(
@@ -176,11 +176,11 @@ def first_flip(points: Float64Array, step: Float64Array, triangles: IntArray) ->
     c2 = (p * mixed + a * square).sum(axis=0)
     c3 = (p * square).sum(axis=0)
     bernstein = np.minimum(np.minimum(c0 + c1 / 3, c0 + 2 * c1 / 3 + c2 / 3), c0 + c1 + c2 + c3)
-    doubtful = np.flatnonzero(bernstein <= 0)
-    if doubtful.size == 0:
+    candidates = np.flatnonzero(bernstein <= 0)
+    if candidates.size == 0:
         return np.inf
-    companion = np.zeros((doubtful.size, 3, 3))
-    companion[:, 0] = -np.stack((c1, c2, c3), axis=1)[doubtful] / c0[doubtful, None]
+    companion = np.zeros((candidates.size, 3, 3))
+    companion[:, 0] = -np.stack((c1, c2, c3), axis=1)[candidates] / c0[candidates, None]
     companion[:, 1, 0] = companion[:, 2, 1] = 1.0
     inverse = np.linalg.eigvals(companion)
     # A double root may come out as a conjugate pair; taking it for real shortens the step, which is the safe side.

@@ -20,8 +20,10 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.geometry import triangle_normals
 from fsh3d_o3d.sphere_map.validity import cross
 
-_FLATTEST = 1e-2  # height over longest edge: flatter source triangles count as this flat, which no σ₁/σ₂ then notices
-_SMALLEST = 1e-3  # of the mean area: smaller triangles weigh as much and want as much of the sphere
+_FLATTEST = (
+    1e-2  # height over longest edge, a choice: flatter source triangles count as this flat, which no σ₁/σ₂ then notices
+)
+_SMALLEST = 1e-3  # of the mean area, a choice: smaller triangles weigh as much and want as much of the sphere
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +69,7 @@ class BalanceEnergy:
                 total[:, axis] += np.bincount(self.triangles[k], part[axis], self.count)
         return np.ascontiguousarray(total.T)
 
-    def factors(self, sphere: Float64Array, frames: Float64Array) -> Float64Array:
+    def factors(self, sphere: Float64Array, tangents: Float64Array) -> Float64Array:
         """Return R (4, 6, t), of which RᵀR (6, 6, t) is each triangle's positive semidefinite part of the Hessian.
 
         In the plane of a triangle the energy is a function of σ₁ and σ₂, and the Hessian with regard to F has four
@@ -76,7 +78,7 @@ class BalanceEnergy:
 
         Args:
             sphere: (3, n) valid map.
-            frames: (2, 3, n) two orthonormal tangents at each vertex, in which steps are expressed.
+            tangents: (2, 3, n) two orthonormal tangents at each vertex, in which steps are expressed.
 
         Returns:
             (4, 6, t); the six columns are the steps of corners a, b, c along their first and second tangents.
@@ -94,7 +96,7 @@ class BalanceEnergy:
         result = np.empty((4, 6, g.shape[2]))
         for k, index in enumerate(self.triangles):
             for d in range(2):
-                tangent = frames[d][:, index]
+                tangent = tangents[d][:, index]
                 along = [_dot(axis, tangent) for axis in plane]
                 for r, mode in enumerate(modes):
                     by_first = mode[0][0] * g[k, 0] + mode[0][1] * g[k, 1]

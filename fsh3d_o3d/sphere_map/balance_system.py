@@ -12,8 +12,12 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 
 Order = Literal["MMD_AT_PLUS_A", "NATURAL"]
 
-_DAMPINGS = (1e-8, 1e-4, 1.0)  # of the unit diagonal; rotations of the sphere cost nothing, so some is needed
-_RESIDUAL = 1e-2  # relative, at which conjugate gradients stop
+_DAMPINGS = (
+    1e-8,
+    1e-4,
+    1.0,
+)  # of the unit diagonal, tried in turn, a choice: rotations of the sphere cost nothing, so some is needed
+_RESIDUAL = 1e-2  # relative, at which conjugate gradients stop; a choice: the step is only one of many
 
 
 class BlockSystem:

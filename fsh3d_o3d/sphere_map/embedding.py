@@ -28,7 +28,7 @@ from fsh3d_o3d.sphere_map.validity import orientations
 Relax = Callable[[Float64Array, IntArray, Float64Array], Float64Array]
 """(vertices (k, 3), triangles (t, 3), sphere (k, 3)) of a level → a better sphere, as valid as the given one."""
 
-_CHUNK = 2**22  # numbers in the largest temporary of a placement
+_CHUNK = 2**22  # numbers in the largest temporary of a placement, 32 MB; a choice
 
 
 class EmbeddingError(ArithmeticError):

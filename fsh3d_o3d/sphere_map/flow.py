@@ -11,10 +11,10 @@ from fsh3d_o3d.sphere_map.laplacian import PinnedLaplacian, edge_lengths, lumped
 from fsh3d_o3d.sphere_map.mobius import aligned, centered, normalized
 from fsh3d_o3d.sphere_map.validity import conformality_deficit, orientations
 
-# Two triangles differ in shape if their measures do by more than this: so that rounding of a rotated copy of a
-# symmetric surface does not choose another triangle.
+# Two triangles differ in shape if their ratios of longest to shortest edge do by more than this, a choice: so that
+# rounding of a rotated copy of a symmetric surface does not choose another triangle.
 _SAME_SHAPE = 1e-6
-_PATIENCE = 3
+_IDLE_STEPS = 3  # steps in a row without progress that end the flow; a choice
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ def mean_curvature_flow(
     least = previous = conformality_deficit(vertices, triangles, sphere)
     iterations = idle = 0
     mass = lumped_mass(points, triangles)
-    while iterations < steps and idle < _PATIENCE:
+    while iterations < steps and idle < _IDLE_STEPS:
         iterations += 1
         points = laplacian.solve_with_mass(mass, mass[:, None] * points, points)
         mass = lumped_mass(points, triangles)

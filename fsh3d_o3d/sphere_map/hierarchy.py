@@ -21,16 +21,14 @@ import numpy as np
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.geometry import BoolArray, triangle_normals
 
-_DEGREE = 9  # removable at most; a sphere's mean degree is below 6, so 4/7 of the vertices qualify at any time
-_CHEAPEST = 0.6  # the share of those that a round may touch: the rest is what gives the surface its shape
+_MAXIMUM_DEGREE = 9  # of a vertex to remove, a choice: the mean is below 6, so 4/7 of the vertices qualify at any time
+_CHEAPEST = 0.6  # the share of those that a round may touch, a choice: the rest is what gives the surface its shape
 _PASSES = 3  # of growing the independent set; more find almost nothing
-_SPREAD = (
-    4.0  # random factor of the costs: on a slope of equal costs there is one local minimum, with it there are many
-)
-_POINTS = 1e-2  # weight of distances to points beside distances to planes: in flat parts the spacing decides
-_FLAT = 0.05  # a fan's worst triangle counts as at least this good, and so do triangles that fold over
-_HUB = 7  # degree beyond which a collapse costs more, since hubs leave the rounds for good
-_SEED = 20030727
+_COST_SPREAD = 4.0  # largest random factor of a cost, a choice: on an even slope it makes many local minima of one
+_POINT_WEIGHT = 1e-2  # of distances to points beside distances to planes: in flat parts the spacing decides; a choice
+_LEAST_QUALITY = 0.05  # 1 if equilateral: a fan's worst triangle, folded or not, counts as this good; a choice
+_HUB_DEGREE = 7  # beyond which a collapse costs more, a choice: hubs leave the rounds for good
+_SEED = 20030727  # any: it is fixed so that the same mesh gives the same hierarchy
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +111,8 @@ def _decimate(
     degree = np.bincount(origin, minlength=count)
     cost = np.full(count, np.inf)
     np.minimum.at(cost, origin, _evaluate(quadrics[origin], points[target]))
-    eligible = degree <= _DEGREE
-    cost = (cost + 1e-30) * _SPREAD ** generator.random(count)
+    eligible = degree <= _MAXIMUM_DEGREE
+    cost = (cost + 1e-30) * _COST_SPREAD ** generator.random(count)
     eligible &= cost <= np.quantile(cost[eligible], _CHEAPEST)
     chosen = _independent(cost, eligible, origin, target)
     edges = np.sort(origin[origin < target] * count + target[origin < target])
@@ -178,7 +176,7 @@ def _best_fans(stars: Stars, points: Float64Array, quadrics: Float64Array, degre
         blocked[:, j] |= exists
     corners = points[rings]
     error = np.abs(_evaluate(quadrics[stars.vertices][:, None], corners)) + 1e-30
-    hub = 1.0 + np.square(np.maximum(degree[rings] + d - 4.0 - _HUB, 0.0))
+    hub = 1.0 + np.square(np.maximum(degree[rings] + d - 4.0 - _HUB_DEGREE, 0.0))
     normal = np.cross(corners, np.roll(corners, -1, axis=1)).sum(axis=1)
     normal /= np.sqrt(np.einsum("mx,mx->m", normal, normal))[:, None] + 1e-300
     turn = (np.arange(d)[:, None] + np.arange(d)) % d
@@ -200,7 +198,7 @@ def _quality(ring: Float64Array, normal: Float64Array) -> Float64Array:
     square = np.einsum("mdx,mdx->md", spoke, spoke)
     lengths = square[:, 1:] + square[:, :-1] + np.einsum("mdx,mdx->md", rim, rim)
     area = np.einsum("mdx,mx->md", np.cross(spoke[:, :-1], spoke[:, 1:]), normal)
-    return np.asarray(np.maximum(2 * np.sqrt(3) * area / (lengths + 1e-300), _FLAT).min(axis=1))
+    return np.asarray(np.maximum(2 * np.sqrt(3) * area / (lengths + 1e-300), _LEAST_QUALITY).min(axis=1))
 
 
 def _compatible(stars: list[Stars], cost: Float64Array, count: int) -> list[BoolArray]:
@@ -250,7 +248,7 @@ def _quadrics(points: Float64Array, triangles: IntArray) -> Float64Array:
     for k in range(3):
         np.add.at(total, triangles[:, k], plane)
         np.add.at(mass, triangles[:, k], area)
-    mass *= _POINTS
+    mass *= _POINT_WEIGHT
     total[:, :3] += mass[:, None]
     total[:, 6:9] -= 2 * mass[:, None] * points
     total[:, 9] += mass * np.einsum("ij,ij->i", points, points)

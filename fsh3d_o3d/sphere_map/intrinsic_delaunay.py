@@ -10,8 +10,8 @@ import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, IntArray
 
-_ROUNDS = 1000  # far more than any surface takes; flips only ever lower an energy
-_SLACK = 1e-12  # of a cotangent sum: cocircular corners must not flip back and forth
+_ROUNDS = 1000  # of flips, far more than any surface takes; they only ever lower an energy
+_COCIRCULAR = 1e-12  # of a cotangent sum, far above rounding: cocircular corners must not flip back and forth
 
 
 def intrinsic_delaunay(triangles: IntArray, lengths: Float64Array) -> tuple[IntArray, Float64Array]:
@@ -24,19 +24,19 @@ def intrinsic_delaunay(triangles: IntArray, lengths: Float64Array) -> tuple[IntA
     length = lengths.ravel().copy()
     twin = _twins(triangles)
     # Of each edge its first half-edge stands for it.
-    doubtful = np.flatnonzero(np.arange(len(twin)) < twin)
+    pending = np.flatnonzero(np.arange(len(twin)) < twin)
     for _ in range(_ROUNDS):
-        doubtful = doubtful[doubtful // 3 != twin[doubtful] // 3]  # between a triangle and itself nothing can flip
-        bad = _cotangent(length, doubtful) + _cotangent(length, twin[doubtful])
-        wrong = bad < -_SLACK
-        if not wrong.any():
+        pending = pending[pending // 3 != twin[pending] // 3]  # between a triangle and itself nothing can flip
+        weight = _cotangent(length, pending) + _cotangent(length, twin[pending])
+        violating = weight < -_COCIRCULAR
+        if not violating.any():
             break
-        chosen = _independent(doubtful[wrong], twin, bad[wrong])
+        chosen = _independent(pending[violating], twin, weight[violating])
         touched = np.concatenate((chosen // 3, twin[chosen] // 3))
         _flip(chosen, corner, length, twin)
         around = (3 * touched[:, None] + np.arange(3)).ravel()
-        again = np.concatenate((doubtful[wrong], around))
-        doubtful = np.unique(np.minimum(again, twin[again]))
+        again = np.concatenate((pending[violating], around))
+        pending = np.unique(np.minimum(again, twin[again]))
     return corner.reshape(-1, 3), length.reshape(-1, 3)
 
 
@@ -65,10 +65,10 @@ def _double_area(x: Float64Array, y: Float64Array, z: Float64Array) -> Float64Ar
     return np.asarray(np.sqrt(np.maximum((a + (b + c)) * (c - (a - b)) * (c + (a - b)) * (a + (b - c)), 0.0)) / 2)
 
 
-def _independent(edges: IntArray, twin: IntArray, badness: Float64Array) -> IntArray:
+def _independent(edges: IntArray, twin: IntArray, weight: Float64Array) -> IntArray:
     """Return those of ``edges`` that are the worst of both their triangles, so that no two share one."""
     rank = np.empty(len(edges), dtype=np.int64)
-    rank[np.lexsort((edges, badness))] = np.arange(len(edges))
+    rank[np.lexsort((edges, weight))] = np.arange(len(edges))
     one, other = edges // 3, twin[edges] // 3
     best = np.full(len(twin) // 3, len(edges))
     np.minimum.at(best, one, rank)

@@ -16,12 +16,12 @@ LaplacianKind = Literal["cotangent", "intrinsic_delaunay"]
 LAPLACIANS: tuple[LaplacianKind, ...] = ("cotangent", "intrinsic_delaunay")
 """Cotangents of the triangles as given, or of the intrinsic Delaunay triangulation of the same vertices."""
 
-# Twice a triangle's area counts as at least this fraction of its longest edge squared. It keeps zero-area triangles
-# finite and the matrix well conditioned. Only the area is raised: the element matrix of a triangle is its area's
+# Twice a triangle's area counts as at least this part of its longest edge squared, a choice. It keeps those without
+# area finite and the matrix well conditioned. Only the area is raised: the element matrix of a triangle is its area's
 # inverse times a positive semidefinite one, so the sum stays positive semidefinite, with negative cotangents and all.
 _THINNEST = 1e-6
-_ACCURACY = 1e-7  # of conjugate gradients, relative to the first residual
-_STEPS = 60
+_ACCURACY = 1e-7  # of conjugate gradients, relative to the first residual; a choice
+_STEPS = 60  # of conjugate gradients at most, a choice
 
 
 def laplacian(vertices: Float64Array, triangles: IntArray, kind: LaplacianKind = "cotangent") -> csc_array:

@@ -6,8 +6,8 @@ import numpy as np
 
 from fsh3d_o3d._validation import Float64Array
 
-_STEPS = 60
-_CENTERED = 1e-12  # length of the mean position
+_STEPS = 60  # of Newton, and halvings of each, at most: 2⁻⁶⁰ is below rounding
+_CENTERED = 1e-12  # length of the mean position, in radii of the sphere; some thousand roundings of float64
 
 
 def centered(sphere: Float64Array, weights: Float64Array) -> Float64Array:

@@ -16,9 +16,11 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry import EdgeTable
 
-_BLOCK = 2**16  # directions at a time, for memory
-_NEARLY = 0.5  # nearest to within this: a tight cluster is as far everywhere, and looking for its nearest point is slow
-_PAIRS = 2**21  # directions times triangles at a time in the exhaustive search, for memory
+_BLOCK = 2**16  # directions at a time, for memory; a choice
+_NEARLY_NEAREST = (
+    0.5  # relative error of the nearest middle, a choice: a tight cluster is as far everywhere, and searched slowly
+)
+_PAIRS = 2**21  # directions times triangles at a time in the exhaustive search, for memory; a choice
 # The rounding of det[near, end − start, d] is below 8 unit roundoffs of the product of the three lengths: one for each
 # difference, three for the products and sums of the cross product and three for those with d.
 _UNCERTAIN = 16 * np.finfo(np.float64).eps
@@ -87,7 +89,7 @@ class _Triangulation:
         # Where several edges are in the way one is drawn: the walk then ends, where a rule might lead in a circle.
         random = np.random.default_rng(0)
         walking = np.arange(len(directions))
-        here = np.asarray(self._tree.query(directions, eps=_NEARLY)[1], dtype=np.int64)
+        here = np.asarray(self._tree.query(directions, eps=_NEARLY_NEAREST)[1], dtype=np.int64)
         for _ in range(self._most_steps):
             seen = self._volumes(here, directions[walking])
             outside = seen < 0

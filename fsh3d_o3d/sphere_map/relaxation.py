@@ -22,19 +22,17 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.sphere_map.validity import cross, edge_vectors, orientations
 
 AREA_WEIGHT = 5.0
-"""The weight of areas beside angles that reconstructs well."""
+"""The weight of areas beside angles that reconstructs well, without unit."""
 
-_STEPS = 4  # for each call
-_DAMPING = 0.6  # of Newton's step, since the neighbours move as well
-_REACH = 0.5  # longest move, in radians: the tangent plane is not the sphere
-_THICKENED = (
-    1e-2  # of the mean squared edge, added to each: surface triangles count as at most ten times as long as wide
-)
-_FLOOR = 0.1  # of the mean area, added to each: triangles without area still keep a little of the sphere
-_STRETCHED = 6.0  # a triangle stretched more than this counts by the logarithm, so that areas win where angles cannot
-_SHRINK = 0.3  # a triangle keeps at least this part of its area in one step
-_HALVINGS = 5  # of steps that would shrink it more; after that its corners stay
-_SINGULAR = 1e-14  # smallest determinant of a 2 × 2 system, over the product of its diagonal
+_STEPS = 4  # for each call, a choice
+_DAMPING = 0.6  # of Newton's step, a choice, since the neighbours move as well
+_LONGEST_MOVE = 0.5  # radians, a choice: the tangent plane is not the sphere
+_THICKENED = 1e-2  # of the mean squared edge, added to each: triangles count as at most ten times as long as wide
+_AREA_FLOOR = 0.1  # of the mean area, added to each, a choice: triangles without area still keep a little of the sphere
+_STRETCHED = 6.0  # Dirichlet energy over area, a choice: beyond, its logarithm counts, and areas win over angles
+_KEPT_AREA = 0.3  # of a triangle in one step, at least; a choice
+_HALVINGS = 5  # of steps that would shrink it more, a choice; after that its corners stay
+_SINGULAR = 1e-14  # smallest determinant of a 2 × 2 system, over the product of its diagonal: some fifty roundings
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +57,7 @@ class _TriangleMetrics:
         if size == 0:  # all vertices in one place: as good as any other shape
             area, squares, size = np.ones_like(area), np.ones_like(squares), 1.0
         mass = area / area.mean() if area.any() else np.ones_like(area)
-        mass = (mass + _FLOOR) / len(mass) / (1 + _FLOOR)
+        mass = (mass + _AREA_FLOOR) / len(mass) / (1 + _AREA_FLOOR)
         # Adding to all squared edges alike adds an equilateral triangle's metric, so the sum is a triangle again.
         squares = squares / size
         squares += _THICKENED * squares.mean(axis=0) + 1e-9
@@ -102,22 +100,22 @@ def _newton_move(
     """Return each vertex' damped Newton step (n, 3) in its tangent plane."""
     count, triangles = len(sphere), surface.triangles
     columns = np.ascontiguousarray(sphere.T)
-    first, second = _frames(columns)
+    first, second = _tangents(columns)
     corner = [columns[:, triangles[:, k]] for k in range(3)]
     opposite = [corner[2] - corner[1], corner[0] - corner[2], corner[1] - corner[0]]
     area = determinants / 2
     ratio = sum(surface.shape[k] * (opposite[k] * opposite[k]).sum(axis=0) for k in range(3)) / area
     # Beyond the threshold weights that fall with the ratio turn it into its logarithm (iteratively reweighted).
-    heed = 1 / np.maximum(1, ratio / (_STRETCHED * surface.mass))
-    ratio = ratio * heed
-    shape = surface.shape * (2 * heed / area)
+    weight = 1 / np.maximum(1, ratio / (_STRETCHED * surface.mass))
+    ratio = ratio * weight
+    shape = surface.shape * (2 * weight / area)
     barrier = area_weight * surface.mass
     system = np.zeros((5, count))
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
         rise = cross(corner[i], opposite[k]) / determinants  # gradient of log area
         pull = shape[i] * opposite[i] - shape[j] * opposite[j]  # gradient of the Dirichlet energy / area
-        x, y = (frame[:, triangles[:, k]] for frame in (first, second))
+        x, y = (tangent[:, triangles[:, k]] for tangent in (first, second))
         rx, ry, px, py = (rise * x).sum(axis=0), (rise * y).sum(axis=0), (pull * x).sum(axis=0), (pull * y).sum(axis=0)
         once, twice, stiff = ratio + barrier, 2 * ratio + barrier, shape[i] + shape[j]
         terms = (
@@ -132,7 +130,7 @@ def _newton_move(
     gx, gy, hxx, hyy, hxy = system
     determinant = np.maximum(hxx * hyy - hxy * hxy, _SINGULAR * hxx * hyy)
     sx, sy = (hxy * gy - hyy * gx) / determinant, (hxy * gx - hxx * gy) / determinant
-    length = _DAMPING / np.maximum(1, np.hypot(sx, sy) * (_DAMPING / _REACH))
+    length = _DAMPING / np.maximum(1, np.hypot(sx, sy) * (_DAMPING / _LONGEST_MOVE))
     return np.asarray((first * (sx * length) + second * (sy * length)).T)
 
 
@@ -151,14 +149,14 @@ def _guarded(
         # What stays is left as it is, to the last bit; else its triangles might fail on rounding alone.
         moved = np.where(step > 0, moved, sphere)
         after = orientations(moved, triangles)
-        harmed = triangles[~(after >= _SHRINK * before)]
+        harmed = triangles[~(after >= _KEPT_AREA * before)]
         if harmed.size == 0 or not step[harmed].any():
             return moved, after
         step[harmed] *= 0.5 if attempt < _HALVINGS else 0.0
         attempt += 1
 
 
-def _frames(columns: Float64Array) -> tuple[Float64Array, Float64Array]:
+def _tangents(columns: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Return two orthonormal tangents (3, n) at unit vectors (3, n)."""
     axis = np.zeros_like(columns)
     axis[np.abs(columns).argmin(axis=0), np.arange(columns.shape[1])] = 1.0

@@ -11,9 +11,9 @@ from fsh3d_o3d.sphere_map.laplacian import factorised
 from fsh3d_o3d.sphere_map.mobius import normalized
 from fsh3d_o3d.sphere_map.validity import orientations
 
-# Vertices whose distance from a flipped triangle is at most so many edges are free; round by round.
+# Vertices whose distance from a flipped triangle is at most so many edges are free, round by round. A choice.
 _RINGS = (0, 0, 1, 1, 2, 2, 3, 4, 5, 6, 8, 10, 12, 16)
-_REPROJECTIONS = 3  # on a curved patch the even layout and the projection to the sphere take turns
+_REPROJECTIONS = 3  # rounds, a choice: on a curved patch the even layout and the projection to the sphere take turns
 
 
 def untangled(sphere: Float64Array, triangles: IntArray) -> Float64Array:

@@ -35,7 +35,7 @@ def energy(vertices, triangles, sphere, area_weight):
     target = np.stack((image[:, 1] - image[:, 0], image[:, 2] - image[:, 0]), axis=2)
     jacobian = target @ np.linalg.inv(source)
     determinant = np.linalg.det(image)
-    mass = area / area.mean() + relaxation._FLOOR
+    mass = area / area.mean() + relaxation._AREA_FLOOR
     mass /= mass.sum()
     ratio = (jacobian**2).sum(axis=(1, 2)) / 2 * (c * y / 2) / (determinant / 2)
     return float((mass * ratio - area_weight * mass * np.log(determinant / 2)).sum())
@@ -112,5 +112,5 @@ def test_no_step_is_too_long(rng):
     # Moves that would turn everything over are cut down until every triangle keeps its share.
     before = orientations(sphere, triangles)
     moved, after = relaxation._guarded(sphere, 3 * rng.standard_normal(sphere.shape), triangles, before)
-    assert (after >= relaxation._SHRINK * before).all()
+    assert (after >= relaxation._KEPT_AREA * before).all()
     assert is_valid(moved, triangles)
