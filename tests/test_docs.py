@@ -51,11 +51,12 @@ def test_every_public_name_is_in_the_reference(site):
 def test_docstrings_are_understood(site):
     page = (site / "reference" / "shapes.html").read_text(encoding="utf-8")
     assert 'class="sig-name descname"><span class="pre">coefficients' in page  # a field, documented where it stands
-    assert "Parameters" in page and "Raises" in page  # the sections of Google style
+    assert "Parameters" in page and "Raises" in page and "Example" in page  # the sections of Google style
+    assert 'class="gp">&gt;&gt;&gt;' in page  # an example, with its prompts as such
     for path in (site / "reference").glob("*.html"):
         text = path.read_text(encoding="utf-8")
         assert "TypeAliasForwardRef" not in text
-        assert "Args:" not in text, f"{path.name}: a section that was not recognised"
+        assert "Args:" not in text and "Example:" not in text, f"{path.name}: a section that was not recognised"
 
 
 def test_every_file_that_the_pages_name_exists():
