@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
-import time
 from pathlib import Path
 
 import numpy as np
@@ -89,16 +88,54 @@ def test_unknown_benchmark_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "nonsense" in capsys.readouterr().err
 
 
-def test_interleaving_counts_calls_alike_and_takes_turns() -> None:
+class Clock:
+    """In place of the module ``time``: goes on by what the timed calls say they take, and by nothing else."""
+
+    def __init__(self) -> None:
+        self._wall = self._processor = 0.0
+
+    def pass_by(self, wall: float, processor: float) -> None:
+        self._wall += wall
+        self._processor += processor
+
+    def perf_counter(self) -> float:
+        return self._wall
+
+    def process_time(self) -> float:
+        return self._processor
+
+
+def test_interleaving_counts_calls_alike_and_takes_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     order: list[str] = []
-    calls = {"a": lambda: (order.append("a"), time.sleep(0.006)), "b": lambda: (order.append("b"), time.sleep(0.006))}
+    clock = Clock()
+    monkeypatch.setattr(_measure, "time", clock)
+    calls = {
+        "a": lambda: (order.append("a"), clock.pass_by(2.0, 0.5)),
+        "b": lambda: (order.append("b"), clock.pass_by(3.0, 6.0)),
+    }
     times = _measure.interleave(calls, rounds=4, budget=60.0)
     # Two warm-up calls a side, then rounds in alternating order.
     assert "".join(order) == "aabb" + "abba" * 2
     assert all(len(timing.samples) == 4 for timing in times.values())
-    # Sleeping takes wall time and no processor time.
-    assert times["a"].minimum >= 0.006
-    assert times["a"].cores < 0.5
+    assert times["a"].samples == (2.0,) * 4 and times["b"].samples == (3.0,) * 4
+    assert (times["a"].cores, times["b"].cores) == (0.25, 2.0)
+
+
+def test_rounds_end_when_the_time_is_up_but_not_before_the_third(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+    monkeypatch.setattr(_measure, "time", clock)
+    for seconds, rounds in ((1.0, 5), (100.0, 3)):
+        timing = _measure.interleave({"a": lambda s=seconds: clock.pass_by(s, s)}, rounds=9, budget=4.5)["a"]
+        assert len(timing.samples) == rounds
+
+
+def test_short_calls_are_repeated_within_a_sample(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+    monkeypatch.setattr(_measure, "time", clock)
+    calls: list[int] = []
+    timing = _measure.interleave({"a": lambda: (calls.append(1), clock.pass_by(2.0**-10, 0.0))}, rounds=3)["a"]
+    assert timing.samples == (2.0**-10,) * 3
+    assert len(calls) >= 3 * 5  # a sample takes 5 ms at least
 
 
 def test_ratio_is_the_median_over_rounds() -> None:

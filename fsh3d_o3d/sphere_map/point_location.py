@@ -46,7 +46,7 @@ def locate(sphere: Float64Array, triangles: IntArray, directions: Float64Array) 
     Raises:
         GeometryError: A direction lies in no triangle: they do not cover the sphere.
     """
-    search = _Triangulation(sphere, triangles)
+    search = TriangleSearch(sphere, triangles)
     found = np.empty(len(directions), dtype=np.int64)
     weights = np.empty((len(directions), 3))
     for start in range(0, len(directions), _BLOCK):
@@ -55,7 +55,7 @@ def locate(sphere: Float64Array, triangles: IntArray, directions: Float64Array) 
     return found, weights
 
 
-class _Triangulation:
+class TriangleSearch:
     """Triangles on the sphere and what the search needs to know about them."""
 
     def __init__(self, sphere: Float64Array, triangles: IntArray) -> None:
@@ -72,17 +72,17 @@ class _Triangulation:
 
     def locate(self, directions: Float64Array) -> tuple[IntArray, Float64Array]:
         """Return triangles (m,) and coordinates (m, 3) of directions (m, 3)."""
-        found, volumes = self._walked(directions)
+        found, volumes = self.walked(directions)
         lost = np.flatnonzero(found < 0)
         if lost.size:
-            found[lost] = self._searched(directions[lost])
+            found[lost] = self.searched(directions[lost])
             volumes[lost] = self._volumes(found[lost], directions[lost])
         settled = self._settled(found, volumes)
         moved = np.flatnonzero(settled != found)
         found[moved], volumes[moved] = settled[moved], self._volumes(settled[moved], directions[moved])
         return found, volumes / volumes.sum(axis=1, keepdims=True)
 
-    def _walked(self, directions: Float64Array) -> tuple[IntArray, Float64Array]:
+    def walked(self, directions: Float64Array) -> tuple[IntArray, Float64Array]:
         """Walk from the nearest middle; triangles (m,), −1 where the walk does not end, and volumes (m, 3)."""
         found = np.full(len(directions), -1, dtype=np.int64)
         volumes = np.empty((len(directions), 3))
@@ -103,7 +103,7 @@ class _Triangulation:
             here = self._neighbors[here, across]
         return found, volumes
 
-    def _searched(self, directions: Float64Array) -> IntArray:
+    def searched(self, directions: Float64Array) -> IntArray:
         """Return the first triangle around each direction, by trying all."""
         found = np.empty(len(directions), dtype=np.int64)
         step = max(1, _PAIRS // len(self._triangles))

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from fsh3d_o3d.jobs.extraction import extract_descriptors
 from tests.jobs import toys
 from tests.jobs.mesh_files import write_box
 from tests.jobs.toys import NotAVector, ToyDescriptor
-from tests.processes import own_children
+from tests.processes import own_children, wait_until
 
 ROOT = Path(__file__).parents[2]
 
@@ -143,6 +142,7 @@ def test_interrupt_leaves_no_process_behind(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "import threading, time\n"
+        "from pathlib import Path\n"
         "from fsh3d_o3d.jobs import extract_descriptors\n"
         "from tests.processes import own_children\n"
         "from tests.jobs.toys import ToyDescriptor\n"
@@ -152,7 +152,8 @@ def test_interrupt_leaves_no_process_behind(tmp_path):
         "    print(*own_children(), flush=True)\n"
         "if __name__ == '__main__':\n"
         "    threading.Thread(target=tell, daemon=True).start()\n"
-        f"    extract_descriptors([{str(path)!r}], ToyDescriptor(), workers=1, cache=False)\n"
+        "    descriptor = ToyDescriptor(hanging=Path('hanging'))\n"
+        f"    extract_descriptors([{str(path)!r}], descriptor, workers=1, cache=False)\n"
     )
     with subprocess.Popen(
         [sys.executable, str(script)],
@@ -161,11 +162,12 @@ def test_interrupt_leaves_no_process_behind(tmp_path):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        cwd=tmp_path,
     ) as process:
         children = [int(word) for word in process.stdout.readline().split()]
         assert len(children) == 1
         assert os.getsid(children[0]) == children[0]  # deaf to the terminal from its first instant
-        time.sleep(0.5)  # whatever the process is doing by then, it is to end
+        assert wait_until((tmp_path / "hanging").exists)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: all processes of the group
         errors = process.communicate(timeout=60)[1]
     assert process.returncode != 0

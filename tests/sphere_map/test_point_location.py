@@ -13,7 +13,7 @@ from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.triangulation import fibonacci_triangulation, icosphere
 from fsh3d_o3d.sphere.grids import fibonacci_grid
 from fsh3d_o3d.sphere_map import point_location
-from fsh3d_o3d.sphere_map.point_location import determinants, locate
+from fsh3d_o3d.sphere_map.point_location import TriangleSearch, determinants, locate
 
 OCTAHEDRON = np.vstack((np.eye(3), -np.eye(3)))
 OCTANTS = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
@@ -138,26 +138,41 @@ def test_linear_functions_are_interpolated_through_the_plane_of_each_triangle():
     np.testing.assert_allclose(normalised(points), directions, atol=1e-15)
 
 
-def test_the_way_there_does_not_matter(rng, monkeypatch):
+def test_the_way_there_does_not_matter(rng):
     sphere, triangles = nested(rng, 300)
     directions = difficult_directions(sphere, triangles, rng)
     found, weights = locate(sphere, triangles, directions)
+    # Where several edges are in the way one is drawn: others are when other directions are looked for beside.
+    order = rng.permutation(len(directions))
+    again = locate(sphere, triangles, directions[order])
+    assert (found[order].tobytes(), weights[order].tobytes()) == tuple(array.tobytes() for array in again)
+    alone = [locate(sphere, triangles, direction[None]) for direction in directions[:50]]
+    assert [int(triangle[0]) for triangle, _ in alone] == found[:50].tolist()
+    np.testing.assert_array_equal(np.concatenate([weight for _, weight in alone]), weights[:50])
+    # No walk at all: every triangle is tried.
+    np.testing.assert_array_equal(TriangleSearch(sphere, triangles).searched(directions), found)
+
+
+def test_many_directions_are_looked_for_in_blocks(monkeypatch):
+    sphere, triangles = icosphere(2)
+    directions = fibonacci_grid(500).directions
+    whole_array = locate(sphere, triangles, directions)
     monkeypatch.setattr(point_location, "_BLOCK", 7)
     monkeypatch.setattr(point_location, "_PAIRS", 1000)
-    again = locate(sphere, triangles, directions)
-    assert (found.tobytes(), weights.tobytes()) == tuple(array.tobytes() for array in again)
-    # No walk at all: every triangle is tried.
-    monkeypatch.setattr(
-        point_location._Triangulation, "_walked", lambda self, d: (np.full(len(d), -1), np.ones((len(d), 3)))
-    )
-    again = locate(sphere, triangles, directions)
-    assert (found.tobytes(), weights.tobytes()) == tuple(array.tobytes() for array in again)
+    for once, blocks in zip(whole_array, locate(sphere, triangles, directions), strict=True):
+        np.testing.assert_array_equal(once, blocks)
+    np.testing.assert_array_equal(TriangleSearch(sphere, triangles).searched(directions), whole_array[0])
 
 
-def test_walks_end_soon(rng, monkeypatch):
-    monkeypatch.setattr(point_location._Triangulation, "_searched", lambda *_: pytest.fail("a walk did not end"))
-    for sphere, triangles in (nested(rng, 1000), shrunk(30, 1e-2), shrunk(30, 1e2)):
-        locate(sphere, triangles, normalised(rng.standard_normal((2000, 3))))
+@pytest.mark.parametrize("surface", ["nested", "a thin pole", "a wide pole"])
+def test_walks_end_soon(rng, surface):
+    sphere, triangles = {
+        "nested": lambda: nested(rng, 1000),
+        "a thin pole": lambda: shrunk(30, 1e-2),
+        "a wide pole": lambda: shrunk(30, 1e2),
+    }[surface]()
+    found, _ = TriangleSearch(sphere, triangles).walked(normalised(rng.standard_normal((2000, 3))))
+    assert (found >= 0).all()
 
 
 def test_a_sphere_with_a_hole_is_refused():
