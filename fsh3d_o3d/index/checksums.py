@@ -87,7 +87,7 @@ class FileChecksums:
         manifest = self._versions(table).get(version)
         if manifest is None:
             return
-        files = {name: _crc(self._in(table, name)) for name in [manifest, *self._beside(table, manifest)]}
+        files = {name: _crc(self._in(table, name)) for name in [manifest, *self._files_of_manifest(table, manifest)]}
         os.makedirs(self._in(FOLDER), exist_ok=True)  # noqa: PTH103 - keeps bytes that are not UTF-8
         text = json.dumps({"version": version, "files": files, "checksum": _of_text(version, files)})
         atomic_write_bytes(self._name(table, version), text.encode("ascii"))
@@ -144,7 +144,7 @@ class FileChecksums:
                 found[_LATEST - version if version > _LATEST // 2 else version] = f"_versions/{name}"
         return found
 
-    def _beside(self, table: str, manifest: str) -> Iterator[str]:
+    def _files_of_manifest(self, table: str, manifest: str) -> Iterator[str]:
         """Names of the files that a manifest speaks of, lists of deleted rows and inverted files.
 
         A manifest holds their random numbers, of eight and of sixteen bytes, as they are: one that holds them by

@@ -7,7 +7,7 @@ import os
 
 from fsh3d_o3d._atomic import sync_file, sync_folder
 
-_LAST = "_versions"  # a manifest is worth nothing without what it speaks of
+_MANIFESTS = "_versions"  # a manifest is worth nothing without what it speaks of
 
 
 class DiskSync:
@@ -25,7 +25,7 @@ class DiskSync:
         """
         top = os.path.join(self._path, f"{name}.lance")  # noqa: PTH118 - keeps bytes that are not UTF-8
         folders = [(folder, files) for folder, _, files in os.walk(top)]
-        folders.sort(key=lambda one: os.path.basename(one[0]) == _LAST)  # noqa: PTH119
+        folders.sort(key=lambda one: os.path.basename(one[0]) == _MANIFESTS)  # noqa: PTH119
         for folder, files in folders:
             new = {os.path.join(folder, file) for file in files} - self._done  # noqa: PTH118
             for file in sorted(new):

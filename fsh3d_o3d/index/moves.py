@@ -75,7 +75,7 @@ def moved_libraries(
     for own, location in roots.locations.items():
         told = location in moved_from
         enough = 2 * len(alike[own]) >= total[own] > 0
-        if told or (enough and _is_gone(location) and 2 * _same(alike[own]) >= total[own]):
+        if told or (enough and _is_gone(location) and 2 * _unchanged_count(alike[own]) >= total[own]):
             found[own] = LibraryMove(location, folder)
     for old in [*moved_from, *(move.old for move in found.values())]:
         for own, rest in roots.below(old).items():
@@ -94,7 +94,7 @@ class _Namesake:
     same_time: bool
 
 
-def _same(files: Sequence[_Namesake]) -> float:
+def _unchanged_count(files: Sequence[_Namesake]) -> float:
     """Estimate, from a sample, how many files have the content they had.
 
     None, if one has another content though it tells the same time: then what is known of no file can be believed, and

@@ -77,7 +77,7 @@ class IndexSearch:
             rows, found = everything.rows, everything.stored
             distances = self._distances(query.feature, everything.features)
         else:
-            rows, found = self._near(models, query, count)
+            rows, found = self._approximately_nearest(models, query, count)
             # Block by block: decoded all at once they would not fit the cache.
             parts = (found[start : start + _ROWS_DECODED] for start in range(0, len(found), _ROWS_DECODED))
             distances = np.concatenate([np.empty(0), *(self._distances(query.feature, p.features) for p in parts)])
@@ -109,10 +109,10 @@ class IndexSearch:
         if models.count < self._exact_below:
             everything = self._everything(models)
             features = everything.features
-            found = [(everything.rows, *self._excluding(everything.stored))]
+            found = [(everything.rows, *self._lower_bounds(everything.stored))]
         else:
             tables = models.batches(["signature"])
-            found = [(identifiers(table), *self._excluding(self._read(table))) for table in tables]
+            found = [(identifiers(table), *self._lower_bounds(self._read(table))) for table in tables]
         rows, sketch, sums = (np.concatenate(parts) for parts in zip(*found, strict=True))
         norm = np.square(sketch).sum(axis=1)
         # No two rows this close are further apart in their sketches.
@@ -125,11 +125,11 @@ class IndexSearch:
             left, right = _still_close(left + start, right + start, sums, limit * _ROUNDING)
             for begin in range(0, len(left), _BLOCK):
                 one, two = left[begin : begin + _BLOCK], right[begin : begin + _BLOCK]
-                distance = self._apart(models, one, two, rows, features)
+                distance = self._pair_distances(models, one, two, rows, features)
                 for index in np.flatnonzero(distance <= limit):
                     yield int(rows[one[index]]), int(rows[two[index]]), float(distance[index])
 
-    def _excluding(self, stored: StoredRows) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _lower_bounds(self, stored: StoredRows) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """What excludes: sketches of the roots, and sums over parts of features; in L2 sketches of features alone."""
         features = stored.features
         if not self._l1:
@@ -138,7 +138,7 @@ class IndexSearch:
         sums = np.add.reduceat(features, np.arange(0, features.shape[1], _NUMBERS_A_SUM), axis=1)
         return shortened(roots, self._store.basis), sums
 
-    def _apart(
+    def _pair_distances(
         self, models: TableVersion, one: IntArray, two: IntArray, rows: IntArray, features: NDArray[np.float32] | None
     ) -> NDArray[np.float32]:
         """Distances of pairs of places among ``rows``; ``features`` are read where they are None."""
@@ -160,7 +160,7 @@ class IndexSearch:
                     self._kept = kept
             return kept
 
-    def _near(self, models: TableVersion, query: Query, count: int) -> tuple[IntArray, StoredRows]:
+    def _approximately_nearest(self, models: TableVersion, query: Query, count: int) -> tuple[IntArray, StoredRows]:
         probes = max(_PROBES, math.isqrt(models.count // _ROWS_A_PARTITION))
         wanted = max(_LEAST_CANDIDATES, _CANDIDATES_A_HIT * count, int(_CANDIDATES_A_ROOT * math.sqrt(models.count)))
         with translated(self._store.path, "searching it"):

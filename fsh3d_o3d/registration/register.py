@@ -204,7 +204,7 @@ def _result(
     unit = surfaces[1].rms_radius
     limit = option.max_correspondence_distance
     near = found.near if limit is None else limit / unit
-    points = [_measured(*pair) for pair in zip(given, surfaces, strict=True)]
+    points = [_fitness_points(*pair) for pair in zip(given, surfaces, strict=True)]
     tree = found.target.tree if points[1] is found.target.nodes else cKDTree(points[1])
     moved = found.poses.take([0]).apply(points[0])[0]
     distance, index = (np.asarray(part) for part in tree.query(moved, distance_upper_bound=near * (1 + 1e-12)))
@@ -238,7 +238,7 @@ def _result(
     )
 
 
-def _measured(geometry: MeshArrays | PointArrays, surface: Surface) -> Float64Array:
+def _fitness_points(geometry: MeshArrays | PointArrays, surface: Surface) -> Float64Array:
     """What fitness is measured on, in the surface's frame: a cloud's own points, in their order, or samples."""
     if isinstance(geometry, MeshArrays):
         return surface.points

@@ -81,7 +81,7 @@ def align(
     rotations, correlations = _rotations(first, second, reflections, candidates, bandwidth)
     source, target = Side.of(first, _PROBES), Side.of(second, _PROBES)
     start = Poses.centred(rotations, 1.0 if scaling else first.rms_radius / second.rms_radius)
-    tried, distances = _tried(source, target, start, correlations, scaling)
+    tried, distances = _refined(source, target, start, correlations, scaling)
     apart = _residuals(distances)
     order = np.argsort(np.where(np.linalg.det(rotations) < 0, apart / _REFLECTION_RATIO, apart), kind="stable")
     tried, distances = tried.take(order), distances[order]
@@ -89,10 +89,10 @@ def align(
     if polish:
         for probes, steps in _FINAL_FITS:
             best = refine(source, target, best, probes=probes, steps=steps, scaling=scaling)
-    beside = _turned(source, target, best)
+    beside = _turned_about_weakest(source, target, best)
     apart = _residuals(np.concatenate((_distances(source, target, Poses.joined(best, beside)), distances[1:])))
     rivalry = apart[1:] / max(apart[0], _RESOLVED_DISTANCE)
-    rivalry[2:][~_others(tried, best)[1:]] = np.inf
+    rivalry[2:][~_distinct(tried, best)[1:]] = np.inf
     poses = Poses.joined(best, tried.take(np.arange(1, len(tried)))) if polish else start.take(order)
     distances[0] = _distances(source, target, best)[0]
     return Alignment(
@@ -108,7 +108,7 @@ def align(
     )
 
 
-def _tried(
+def _refined(
     source: Side, target: Side, start: Poses, correlations: Float64Array, scaling: bool
 ) -> tuple[Poses, Float64Array]:
     """Candidates after a few steps, because centroids and sizes are never quite the same, and their distances.
@@ -148,14 +148,14 @@ def _residuals(distances: Float64Array) -> Float64Array:
     return np.asarray(np.sqrt(np.mean(distances**2, axis=(1, 2))))
 
 
-def _others(tried: Poses, best: Poses) -> NDArray[np.bool_]:
+def _distinct(tried: Poses, best: Poses) -> NDArray[np.bool_]:
     """Which poses (k,) are other answers than the best: turned by more, and mirrored like it."""
     cosine = (np.einsum("kij,ij->k", tried.rotations, best.rotations[0]) - 1) / 2
     alike = np.linalg.det(tried.rotations) * np.linalg.det(best.rotations[0]) > 0
     return np.asarray((cosine < np.cos(_SAME_ROTATION)) & alike)
 
 
-def _turned(source: Side, target: Side, best: Poses) -> Poses:
+def _turned_about_weakest(source: Side, target: Side, best: Poses) -> Poses:
     """The best pose turned either way about the axis that it is held least about.
 
     Where that changes nothing, the shape has an axis of revolution.

@@ -39,7 +39,7 @@ def plain_surface(geometry: MeshArrays | PointArrays, samples: int) -> Surface:
     surface = surface_of(_thinned(geometry, samples), samples)
     stray = surface.weights > _STRAY * np.median(surface.weights)
     if surface.triangles is None and 0 < np.count_nonzero(stray) <= _STRAYS_AT_MOST * len(stray):
-        surface = _reframed(surface, np.where(stray, 0.0, surface.weights))
+        surface = _reweighted(surface, np.where(stray, 0.0, surface.weights))
     return surface
 
 
@@ -50,7 +50,7 @@ def resolved_surface(surface: Surface) -> Surface:
     """
     density = _unit_grid().density(surface)
     usual = float(np.median(density))
-    return _reframed(surface, surface.weights * density / (density**2 + (_SPARSE * usual) ** 2))
+    return _reweighted(surface, surface.weights * density / (density**2 + (_SPARSE * usual) ** 2))
 
 
 def shell_coefficients(surface: Surface, bandwidth: int) -> Float64Array:
@@ -106,7 +106,7 @@ def _thinned(geometry: MeshArrays | PointArrays, most: int) -> MeshArrays | Poin
     return PointArrays(geometry.points[kept], None if geometry.normals is None else geometry.normals[kept])
 
 
-def _reframed(surface: Surface, weights: Float64Array) -> Surface:
+def _reweighted(surface: Surface, weights: Float64Array) -> Surface:
     """The surface with other weights, in the frame that they make; samples without any are left out."""
     kept = weights > 0
     if not kept.any():
