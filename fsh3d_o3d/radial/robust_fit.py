@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse.linalg import LinearOperator, cg
 from scipy.special import erf
 
 from fsh3d_o3d._validation import Float64Array
@@ -131,19 +132,17 @@ def solve(
         tolerance: Norm of the preconditioned gradient at which to stop.
         threads: Number of threads, or None for all that the process may use.
     """
-    preconditioner = 1 / (1 + penalty)
-    result = start.copy()
-    gradient = gradient - penalty * start
-    step = preconditioner * gradient
-    power = float(gradient @ step)
-    steps = 0
-    while power > tolerance**2 and steps < _MOST_STEPS:
-        image = engine.analyse(engine.synthesise(step[None], threads), threads)[0] + penalty * step
-        length = power / float(step @ image)
-        result += length * step
-        gradient -= length * image
-        conditioned = preconditioner * gradient
-        power, previous = float(gradient @ conditioned), power
-        step = conditioned + power / previous * step
-        steps += 1
-    return Correction(result, steps, power <= tolerance**2)
+    # SciPy stops by the norm of the gradient as it stands; split to both sides, the preconditioner is in it.
+    root = 1 / np.sqrt(1 + penalty)
+    steps: list[Float64Array] = []
+
+    def curvature(step: Float64Array) -> Float64Array:
+        scaled = root * step
+        return np.asarray(
+            root * (engine.analyse(engine.synthesise(scaled[None], threads), threads)[0] + penalty * scaled)
+        )
+
+    hessian = LinearOperator((len(start), len(start)), matvec=curvature, dtype=np.float64)
+    right = root * (gradient - penalty * start)
+    step, failed = cg(hessian, right, rtol=0.0, atol=tolerance, maxiter=_MOST_STEPS, callback=steps.append)
+    return Correction(start + root * step, len(steps), not failed)
