@@ -95,3 +95,9 @@ def test_example_runs(name, tmp_path, monkeypatch):
         test.globs = names
         runner.run(test, out=report.append, clear_globs=False)
     assert not report, "".join(report)
+
+
+def test_example_of_the_package_runs():
+    found = doctest.DocTestParser().get_doctest(fsh.__doc__, {}, "fsh3d_o3d", None, None)
+    assert found.examples
+    assert doctest.DocTestRunner().run(found).failed == 0

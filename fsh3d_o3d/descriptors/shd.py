@@ -1,8 +1,5 @@
 """Spherical harmonic descriptors: geometry in, a rotation-invariant feature out.
 
->>> import fsh3d_o3d as fsh
->>> feature = fsh.compute_shd_feature(mesh, fsh.SHDOption.best())
-
 A signature is a feature with the coefficients behind it, by which shapes can be compared once they are aligned.
 """
 

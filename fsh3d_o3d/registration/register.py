@@ -1,9 +1,4 @@
-"""Global alignment of meshes and point clouds: any rotation, any position, any scale, no first guess.
-
->>> import fsh3d_o3d as fsh
->>> result = fsh.registration_spherical(source, target)
->>> source.transform(result.transformation)
-"""
+"""Global alignment of meshes and point clouds: any rotation, any position, any scale, no first guess."""
 
 from __future__ import annotations
 
