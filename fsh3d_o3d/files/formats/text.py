@@ -22,7 +22,7 @@ _SPACE = ord(" ")
 _NINE = ord("9")  # what is above it is a letter: exponents, nan, inf
 _EXACT_INTEGER = 2**53  # float64 holds every whole number up to here
 _EXACT_POWER = 22  # 10²² is the largest power of ten that float64 holds exactly
-_POWERS = 10.0 ** np.arange(_EXACT_POWER + 1)
+_POWERS = 10.0 ** np.arange(_EXACT_POWER + 1)  # of ten, all exact
 # Appended to the text and looked for in the answer: NumPy before 2.4 only warns when it stops at garbage. Any number
 # that files do not happen to end with will do.
 _SENTINEL = 71408251

@@ -30,7 +30,7 @@ _INDICES_TAIL = 4  # bytes of zeros
 _SMALLEST_TAIL = {0: 32, 1: 24}  # bytes, by version
 # Bits of a delta by the two bits that a group has in the header: version 0, and the control modes of version 1.
 _BITS_VERSION_0 = (0, 2, 4, 8)
-_BITS_BY_CONTROL = ((0, 1, 2, 4), (1, 2, 4, 8))
+_BITS_BY_CONTROL = ((0, 1, 2, 4), (1, 2, 4, 8))  # by the control modes 0 and 1
 _ALL_ZERO, _LITERAL = 2, 3  # the other control modes
 
 
