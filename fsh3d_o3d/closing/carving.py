@@ -1,4 +1,4 @@
-"""Carving: the body around a set of grid vertices that is a ball whatever the set is.
+"""Carving: a body of grid vertices around a given set that is topologically a ball, whatever the set.
 
 A box is a ball. A vertex whose removal changes nothing of the topology (a *simple* vertex, ``kuhn_grid``) can be
 taken away, and the ball stays one. Taking away what is farthest from the set first, until nothing more can go, leaves

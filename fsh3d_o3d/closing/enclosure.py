@@ -1,4 +1,4 @@
-"""What a triangle soup keeps out of the grid around it: the vertices that are not outside.
+"""The solid that a triangle soup encloses, on a grid: all vertices that cannot be reached from outside.
 
 Outside begins where the grid's end can be reached without coming nearer to the surface than a grid cell is wide: cracks
 and holes up to that width do not leak. From there it grows a few steps through edges of the grid that do not cross the

@@ -1,4 +1,4 @@
-"""Draws the vertices of a closed surface onto the surface it stands for, and evens out its triangles."""
+"""Snapping: vertices of a closed surface move onto the surface it stands for, and its triangles are evened out."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def _balanced_diagonal(points: Float64Array) -> tuple[int, int] | None:
         line = np.array([np.cos(angle), np.sin(angle)])
         along, height = points @ line, _cross(line, points)
         level = float(np.quantile(height, _LEVELS[attempt % len(_LEVELS)]))
-        for i, j in _across(along, height, level):
+        for i, j in _visible_pairs(along, height, level):
             share = min(abs(i - j), size - abs(i - j)) / size
             if share > best_share and _is_diagonal(points, i, j):
                 best, best_share = (min(i, j), max(i, j)), share
@@ -70,7 +70,7 @@ def _balanced_diagonal(points: Float64Array) -> tuple[int, int] | None:
     return best
 
 
-def _across(along: Float64Array, height: Float64Array, level: float) -> list[tuple[int, int]]:
+def _visible_pairs(along: Float64Array, height: Float64Array, level: float) -> list[tuple[int, int]]:
     """Return pairs of corners that see each other near a line at a height, where it runs inside the polygon."""
     above = height > level
     start = np.flatnonzero(above != np.roll(above, -1))

@@ -60,7 +60,7 @@ def measure_mesh(mesh: MeshArrays) -> MeshMeasures:
     Raises:
         GeometryError: The mesh has no extent, or no triangle with three different corners.
     """
-    cube, vertices = _unit(mesh)
+    cube, vertices = _in_unit_cube(mesh)
     corners = vertices[mesh.triangles]
     area, area_centroid = _area(corners)
     table = EdgeTable(proper(mesh.triangles))
@@ -145,7 +145,7 @@ def oriented(mesh: MeshArrays) -> MeshArrays | None:
         return None
     if flips.any():
         triangles = np.where(flips[:, None], triangles[:, (0, 2, 1)], triangles)
-    if solid_volume(_unit(mesh)[1][triangles])[0] < 0:
+    if solid_volume(_in_unit_cube(mesh)[1][triangles])[0] < 0:
         triangles = triangles[:, (0, 2, 1)]
     return mesh if triangles is mesh.triangles else MeshArrays(mesh.vertices, triangles)
 
@@ -159,7 +159,7 @@ def enclosed_volume(mesh: MeshArrays) -> float | None:
         if turned is None:
             return None
         welded = turned
-    cube, vertices = _unit(welded)
+    cube, vertices = _in_unit_cube(welded)
     return abs(solid_volume(vertices[welded.triangles])[0]) * cube.scale * cube.scale * cube.scale
 
 
@@ -170,7 +170,7 @@ def area_samples(mesh: MeshArrays, count: int, *, seed: int = 0) -> tuple[Float6
     they follow a Kronecker sequence. The same seed gives the same points.
     """
     count = integer(count, "count", minimum=1)
-    cube, vertices = _unit(mesh)
+    cube, vertices = _in_unit_cube(mesh)
     total = np.cumsum(triangle_areas(vertices[mesh.triangles]))
     if total[-1] <= 0:
         raise GeometryError("the mesh has no area: all its triangles are degenerate")
@@ -182,7 +182,7 @@ def area_samples(mesh: MeshArrays, count: int, *, seed: int = 0) -> tuple[Float6
     return cube.from_unit(points), triangle.astype(np.int64)
 
 
-def _unit(mesh: MeshArrays) -> tuple[UnitCube, Float64Array]:
+def _in_unit_cube(mesh: MeshArrays) -> tuple[UnitCube, Float64Array]:
     """Return the cube about the vertices in use, and all vertices in it (unused ones at the first one in use)."""
     vertices = mesh.gathered_vertices
     cube = UnitCube.around(vertices)

@@ -120,7 +120,7 @@ class UnitScene:
 
         lost = np.flatnonzero((inner_triangle < 0) & (outer_triangle < 0))
         if lost.size:  # a ray can slip between two triangles; one beside it cannot slip through the same place
-            inner[lost], inner_triangle[lost] = self._cast_beside(directions[lost])
+            inner[lost], inner_triangle[lost] = self._cast_tilted(directions[lost])
         # Where only one of the two rays slipped through, the other one knows better.
         inner_missed = inner_triangle < 0
         outer_missed = outer_triangle < 0
@@ -136,7 +136,7 @@ class UnitScene:
         far = self._refined(directions, outer, outer_triangle)
         return np.minimum(near, far), np.maximum(near, far)
 
-    def _cast_beside(self, directions: Float64Array) -> tuple[Float64Array, IntArray]:
+    def _cast_tilted(self, directions: Float64Array) -> tuple[Float64Array, IntArray]:
         axis = np.eye(3)[np.abs(directions).argmin(axis=1)]
         first = np.cross(directions, axis)
         second = np.cross(directions, first)

@@ -25,10 +25,10 @@ def surface_points(surface: Surface, spacing: float) -> Float64Array:
     square = np.einsum("ijk,ijk->ij", edge, edge)
     large = square.max(axis=1) > spacing**2
     middles = corners[~large].sum(axis=1) / 3
-    return np.concatenate((middles, _cut(corners[large], np.sqrt(square[large]), spacing)))
+    return np.concatenate((middles, _subdivided(corners[large], np.sqrt(square[large]), spacing)))
 
 
-def _cut(corners: Float64Array, edge: Float64Array, spacing: float) -> Float64Array:
+def _subdivided(corners: Float64Array, edge: Float64Array, spacing: float) -> Float64Array:
     """Points on triangles (t, 3, 3) whose edges are longer than the spacing."""
     # The longest edge runs from the first corner to the second, the third is the apex.
     turn = (edge.argmax(axis=1)[:, None] + np.arange(3)) % 3

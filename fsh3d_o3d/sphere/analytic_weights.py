@@ -40,8 +40,8 @@ _REFINED_TOLERANCE = 2e-15  # of the conditions of Eq. (8): some ten roundings o
 _COMPILED_BANDWIDTH = 32  # a choice
 _DIRECT_RESIDUAL = 24  # bandwidth up to which the residual is summed point by point; a choice
 _FAST_TOLERANCE = 1e-13  # of the conditions: what the fast transforms leave
-_EASY_ITERATIONS = 30  # well-conditioned systems take 13 at most
-_HARD_ITERATIONS = 300  # a choice; the error falls with each, and what is left is told
+_FEW_ITERATIONS = 30  # well-conditioned systems take 13 at most
+_MANY_ITERATIONS = 300  # a choice; the error falls with each, and what is left is told
 # Root mean square of the weights over their mean: by how much quadrature multiplies white noise; a choice.
 _MAXIMUM_AMPLIFICATION = 2.0
 _LARGEST_DIRECT = 2200  # equations; below, a factorisation beats hundreds of iterations
@@ -189,13 +189,13 @@ class _System:
 
 
 def _solve(system: _System) -> tuple[Float64Array, int]:
-    weights, iterations, solved = _correct_equal_weights(system, _EASY_ITERATIONS)
+    weights, iterations, solved = _correct_equal_weights(system, _FEW_ITERATIONS)
     if not solved and np.count_nonzero(system.kept) <= _LARGEST_DIRECT:
         exact = _factorise(system)
         if exact is not None:
             return system.complete(exact), 0
     if not solved:
-        weights, iterations, solved = _correct_equal_weights(system, _HARD_ITERATIONS)
+        weights, iterations, solved = _correct_equal_weights(system, _MANY_ITERATIONS)
     if solved and system.bandwidth <= _REFINED_BANDWIDTH:
         # One step removes what the fast transforms' own error left; A Aᵀ is n/4π times nearly the identity.
         weights = weights + system.combination(system.exact_error(weights)) * (4 * np.pi / len(system.grid))

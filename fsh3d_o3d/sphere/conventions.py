@@ -1,4 +1,4 @@
-"""Coefficients of real functions in other people's layouts.
+"""Coefficients of real functions in the layouts of other software and of the paper.
 
 Ours: real, orthonormal, no Condon–Shortley phase, index l² + l + m (m > 0 cosine, m < 0 sine, √2). The others:
 

@@ -1,4 +1,4 @@
-"""What area balancing minimises: how far a map is from conformal and from a wanted area density.
+"""The energy that area balancing minimises: how far a map is from conformal and from a wanted area density.
 
 With F the linear map of a source triangle onto its image, of singular values σ₁ ≥ σ₂ and determinant J,
 

@@ -27,7 +27,7 @@ from fsh3d_o3d.sphere_map.validity import degree, distortion, is_valid, orientat
 
 __all__ = ["ConformalMapOption", "conformal_map"]
 
-_RECOVERY = 50  # Newton steps towards the conformal map after a fallback, a choice
+_RECOVERY_STEPS = 50  # Newton steps towards the conformal map after a fallback, a choice
 _FLOW_TOLERANCE = 0.02  # of what is left: the next step would change the mean distortion in the third digit
 
 
@@ -197,7 +197,7 @@ def _optimised(
     conformal = option.area_weight == 0
     steps = option.balance_iterations
     if steps is None:
-        steps = _RECOVERY if conformal else 0
+        steps = _RECOVERY_STEPS if conformal else 0
     if steps == 0 or (conformal and start.method == "flow"):
         return start.sphere, 0
     balanced = balance(

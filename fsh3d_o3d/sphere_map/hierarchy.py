@@ -81,7 +81,7 @@ def build_hierarchy(vertices: Float64Array, triangles: IntArray) -> Hierarchy:
         triangles: (2n − 4, 3) int64, consistently oriented, using every vertex: a simplicial sphere.
     """
     generator = np.random.default_rng(_SEED)
-    points = _unit(vertices)
+    points = _normalised(vertices)
     quadrics = _quadrics(points, triangles)
     names = np.arange(len(points))
     rounds: list[tuple[IntArray, _Round]] = []
@@ -225,7 +225,7 @@ def _fan(rings: IntArray) -> IntArray:
     return np.stack((first, rings[:, 1:-1], rings[:, 2:]), axis=-1)
 
 
-def _unit(vertices: Float64Array) -> Float64Array:
+def _normalised(vertices: Float64Array) -> Float64Array:
     """Return the vertices about the middle of their box, in units of its longest side."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = float((high - low).max())

@@ -1,4 +1,4 @@
-"""Which spherical triangle holds a direction, and where in it: exact for triangles of any size.
+"""Point location on the sphere: the triangle that holds a direction, and where in it; exact at any size.
 
 All decisions are signs of determinants det[a, b, d], taken from differences of nearby vectors where that tells the
 sign for certain and from an exact sum where it does not. Each direction therefore has an answer, and the answer does

@@ -1,4 +1,4 @@
-"""Text STL: one keyword a line as a rule, and what writers make of that."""
+"""Text STL: one keyword a line, and the variants that programs write."""
 
 from __future__ import annotations
 

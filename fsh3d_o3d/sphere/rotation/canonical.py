@@ -1,4 +1,4 @@
-"""A pose of its own for every function on the sphere: the same however the input was rotated."""
+"""Canonical poses: rotations that bring functions on the sphere to the same pose however they were rotated."""
 
 from __future__ import annotations
 

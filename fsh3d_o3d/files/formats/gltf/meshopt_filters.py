@@ -1,4 +1,4 @@
-"""What meshopt attributes may go through once they are decompressed: (n, stride) bytes in and out."""
+"""Filters of meshopt attributes, the last step of their decompression: (n, stride) bytes in and out."""
 
 from __future__ import annotations
 
