@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -10,6 +9,7 @@ from scipy.ndimage import label
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._value import value
 from fsh3d_o3d.closing.carving import carve
 from fsh3d_o3d.closing.enclosure import Enclosure, enclose
 from fsh3d_o3d.closing.kuhn_grid import between, structure
@@ -56,7 +56,7 @@ _MARGIN = np.array([3.13, 3.27, 3.41])
 _NODE_BYTES = 80  # bytes of memory a vertex of the grid takes, measured: distances, labels and ranks at once
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class Closing:
     """A closed genus-0 surface, how it was made from a mesh, and how far the two are apart."""
 

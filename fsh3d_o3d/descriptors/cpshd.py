@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._value import value
 from fsh3d_o3d.closing import prepare_closed
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, geometry_arrays, surface_of
 from fsh3d_o3d.sphere import SphericalGrid, SphericalHarmonicTransform, checked_weights, degree_energies
@@ -23,7 +23,7 @@ _RECIPE = 1  # raised whenever the same option gives other numbers
 _FRAME_SAMPLES = 256  # of the area, a few that nothing uses: the moments of a mesh are exact without
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@value(kw_only=True)
 class CPSHDOption:
     """Options of the descriptor over a conformal map. Equal options compare equal. Checked when made."""
 
@@ -64,16 +64,14 @@ class CPSHDOption:
     @functools.cached_property
     def fingerprint(self) -> str:
         """SHA-256 of all options and the version of the recipe: features are comparable where it is the same."""
-        parts = [f"cpshd {_RECIPE}", f"{self.bandwidth} {self.form} {self.repair} {self.metric} {self.map!r}"]
+        mapped = ", ".join(f"{field.name}={getattr(self.map, field.name)!r}" for field in dataclasses.fields(self.map))
+        parts = [
+            f"cpshd {_RECIPE}",
+            f"{self.bandwidth} {self.form} {self.repair} {self.metric} ConformalMapOption({mapped})",
+        ]
         parts.append("fibonacci" if self.grid is None else self.grid.fingerprint)
         parts.append("analytic" if self.weights is None else hashlib.sha256(self.weights.tobytes()).hexdigest())
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, CPSHDOption) and self.fingerprint == other.fingerprint
-
-    def __hash__(self) -> int:
-        return hash(self.fingerprint)
 
 
 def compute_cpshd_feature(mesh: Any, option: CPSHDOption | None = None) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,6 +11,7 @@ from tqdm import tqdm
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._value import value
 from fsh3d_o3d.descriptors.shd import (
     CPSHDOption,
     SHDOption,
@@ -35,7 +35,7 @@ Option = TypeVar("Option", SHDOption, CPSHDOption)
 _ALIGNED_DEGREES = 8  # degrees below this are aligned; as many as an index keeps
 
 
-@dataclass(frozen=True)
+@value
 class SHDDescriptor:
     """A ``Descriptor`` of ``shd_descriptor`` with one option, with or without re-ranking by the best rotation."""
 
@@ -118,7 +118,7 @@ def on_equiangular_grid(option: Option) -> Option:
     return dataclasses.replace(option, grid=equiangular_grid(b), weights=driscoll_healy_weights(b))
 
 
-@dataclass(frozen=True)
+@value
 class CPSHDDescriptor:
     """A ``Descriptor`` of ``cpshd_descriptor`` with one option."""
 

@@ -6,7 +6,6 @@ A signature is a feature with the coefficients behind it, by which shapes can be
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from scipy.spatial.distance import cdist
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, FloatArray
+from fsh3d_o3d._value import value
 from fsh3d_o3d.descriptors.cpshd import CPSHDOption, compute_cpshd_feature, cpshd_descriptor
 from fsh3d_o3d.descriptors.shd_option import SHDOption
 from fsh3d_o3d.errors import GeometryError
@@ -73,7 +73,7 @@ def compute_shd_feature(geometry: Any, option: SHDOption | None = None) -> Any:
     return feature
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class ShapeSignature:
     """What is kept of a shape to find it again: a feature, low degrees for alignment, and its frame."""
 

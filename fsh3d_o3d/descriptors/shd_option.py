@@ -5,20 +5,20 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d import _validation as check
+from fsh3d_o3d._value import value
 from fsh3d_o3d.shells import Distance, Route, ShellFields
 from fsh3d_o3d.sphere import SphericalGrid, checked_weights
 
 _RECIPE = 1  # raised whenever the same option gives other numbers
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@value(kw_only=True)
 class SHDOption:
     """Options of the spherical harmonic descriptor; lengths in RMS radii of the shape. Equal options compare equal.
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from fsh3d_o3d._regular_file import open_regular
+from fsh3d_o3d._value import value
 
 __all__ = ["Classification", "ShapeClass", "read_classification"]
 
@@ -16,7 +16,7 @@ _MISCELLANEOUS = "-1"
 _LARGEST_FILE = 64 * 2**20  # bytes; the benchmark's files have ten thousand
 
 
-@dataclass(frozen=True)
+@value
 class ShapeClass:
     """A class of models."""
 
@@ -38,7 +38,7 @@ class ShapeClass:
         return self.name == _MISCELLANEOUS
 
 
-@dataclass(frozen=True)
+@value
 class Classification:
     """The content of a classification file."""
 

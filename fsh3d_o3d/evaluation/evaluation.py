@@ -6,10 +6,10 @@ import dataclasses
 import math
 import os
 import time
-from dataclasses import dataclass
 from typing import Any
 
 from fsh3d_o3d import _validation as check
+from fsh3d_o3d._value import value
 from fsh3d_o3d.evaluation.classification import Classification
 from fsh3d_o3d.evaluation.metrics import RECALL_LEVELS, RetrievalMetrics, retrieval_metrics
 from fsh3d_o3d.evaluation.model_files import ModelFiles, find_models
@@ -19,7 +19,7 @@ from fsh3d_o3d.jobs import Descriptor, FailedInput, extract_descriptors
 __all__ = ["Evaluation", "evaluate_models"]
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class Evaluation:
     """How well a descriptor retrieves, and what that took."""
 

@@ -7,7 +7,7 @@ SMI 2004, section 4; where the paper leaves room, the benchmark's own tools (psb
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, FloatArray, IntArray
+from fsh3d_o3d._value import value
 
 __all__ = ["RECALL_LEVELS", "ClassScores", "RetrievalMetrics", "RetrievalScores", "retrieval_metrics"]
 
@@ -28,7 +29,7 @@ _FIRST_PAGE = 32  # results that the E-measure looks at, as the benchmark define
 _BLOCK_ENTRIES = 2**22  # of the distance matrix, ranked at a time: about 150 MB of work space
 
 
-@dataclass(frozen=True)
+@value
 class RetrievalScores:
     """The five figures of one table row, as fractions in [0, 1]."""
 
@@ -47,7 +48,7 @@ class RetrievalScores:
 _FIGURES = tuple(field.name for field in fields(RetrievalScores))
 
 
-@dataclass(frozen=True)
+@value
 class ClassScores(RetrievalScores):
     """Averages over the queries of one class."""
 
@@ -57,7 +58,7 @@ class ClassScores(RetrievalScores):
     """Models in the class."""
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class RetrievalMetrics(RetrievalScores):
     """What a ranking is worth; the five figures are averages over queries (micro averages)."""
 

@@ -7,7 +7,6 @@ their owner, because ``Vector3dVector`` takes no read-only array.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 
 GeometryKind = Literal["legacy", "tensor"]
@@ -23,7 +23,7 @@ GEOMETRY_KINDS: tuple[GeometryKind, ...] = ("legacy", "tensor")
 """Both kinds of Open3D geometry."""
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class MeshArrays:
     """A triangle mesh as arrays of its own."""
 
@@ -80,7 +80,7 @@ class MeshArrays:
         return MeshArrays(self.vertices[used], (np.cumsum(used) - 1)[self.triangles]), np.flatnonzero(used)
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class PointArrays:
     """A point cloud as arrays of its own."""
 

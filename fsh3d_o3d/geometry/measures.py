@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, IntArray, integer
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.arrays import MeshArrays
 from fsh3d_o3d.geometry.rays import UnitCube
@@ -14,7 +13,7 @@ from fsh3d_o3d.geometry.topology import EdgeTable, components
 from fsh3d_o3d.geometry.triangles import degenerate, even_places, points_at, solid_volume, triangle_areas
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class MeshMeasures:
     """What a mesh measures and how it hangs together; vertices that no triangle uses are ignored."""
 

@@ -8,13 +8,13 @@ again in float64 from that triangle.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.triangles import triangle_normals
 
@@ -22,7 +22,7 @@ _GRAZING = 1e-4  # length in the unit cube, a choice: some thousand float32 step
 _TILT = 1e-6  # radians: some ten float32 steps, enough to leave an edge that a ray slipped through
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class UnitCube:
     """A shift and a scale that bring points into the unit cube without rounding more than the shift must."""
 

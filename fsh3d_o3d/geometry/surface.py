@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
 from fsh3d_o3d.geometry.cloud_density import density_corrected
@@ -19,7 +19,7 @@ _ROUNDING = 4 * np.finfo(np.float64).eps
 _NO_AREA = "the mesh has no area: all its triangles are degenerate, or too small for their distance from the origin"
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class Surface:
     """A mesh or point cloud moved to its area centroid and scaled to unit RMS radius, with samples of its area."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from fsh3d_o3d._validation import Float64Array, IntArray, integer
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, geometry_arrays
 from fsh3d_o3d.geometry.measures import area_samples, enclosed_volume, weld
@@ -24,7 +25,7 @@ _THIN = 8.0  # longest edge over height, beyond which float32 misplaces closest 
 _RAY_SETBACK = 1e-5  # in the unit cube: rays begin this far behind a point, so as to meet the surface it lies on
 
 
-@dataclass(frozen=True)
+@value
 class SurfaceError:
     """Distances between an original and its reconstruction."""
 

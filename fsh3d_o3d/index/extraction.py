@@ -8,12 +8,12 @@ import hashlib
 import os
 import resource
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._value import value
 from fsh3d_o3d.descriptors import ShapeSignature, SHDOption, compute_signature
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files import file_content, is_uri, list_objects, object_states, parse_content
@@ -25,7 +25,7 @@ Thumbnailer = Callable[[Geometry], bytes]
 """Makes a PNG of a geometry. Must pickle: it travels to the worker processes."""
 
 
-@dataclass(frozen=True)
+@value
 class FileState:
     """What tells, without reading it, that a file may have changed."""
 
@@ -100,7 +100,7 @@ def _is_buffer(name: str) -> bool:
     return name.lower().endswith(".bin")
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class Described:
     """What was found in a file."""
 
@@ -120,7 +120,7 @@ class Described:
     """A PNG, or nothing."""
 
 
-@dataclass(frozen=True)
+@value
 class DescribeFile:
     """Reads a file, describes it, draws it: the function that is mapped over a library."""
 

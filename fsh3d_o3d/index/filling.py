@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 from tqdm import tqdm
 
 from fsh3d_o3d._printable import printable
+from fsh3d_o3d._value import value
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.index.extraction import Described, DescribeFile, FileState, identity
 from fsh3d_o3d.index.moves import LibraryMove, ModelRows, moved_libraries, moved_rows
@@ -28,7 +29,7 @@ _ROWS_A_COMMIT = 512  # at most, 5 MB with thumbnails, so that many workers do n
 _SECONDS_A_COMMIT = 5.0  # between commits: the work that a kill may cost
 
 
-@dataclass(frozen=True)
+@value
 class IndexUpdate:
     """What became of files that were to be indexed."""
 

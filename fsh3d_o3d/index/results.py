@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._value import value
 
 __all__ = ["Hit", "IndexSummary", "IndexedModel", "NearDuplicate"]
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class Hit:
     """One model that a query found. Arrays are read-only."""
 
@@ -35,7 +34,7 @@ class Hit:
     """A PNG as drawn when it was indexed; empty if none was."""
 
 
-@dataclass(frozen=True)
+@value
 class NearDuplicate:
     """Two models of an index that are almost the same shape, whatever their pose, size and triangulation."""
 
@@ -49,7 +48,7 @@ class NearDuplicate:
     """Whether they only fit as mirror images: a left and a right part, which features cannot tell apart."""
 
 
-@dataclass(frozen=True)
+@value
 class IndexedModel:
     """What an index knows of a file, apart from its shape."""
 
@@ -67,7 +66,7 @@ class IndexedModel:
     """Whether every edge belongs to exactly two triangles once equal vertices are one."""
 
 
-@dataclass(frozen=True)
+@value
 class IndexSummary:
     """What an index is."""
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d._value import value
 from fsh3d_o3d.descriptors import ShapeSignature, SHDOption
 from fsh3d_o3d.index.codec import decoded, encoded, functions_of, signature_type, sketches
 from fsh3d_o3d.index.columns import fixed_lists
@@ -19,7 +20,7 @@ from fsh3d_o3d.index.errors import ShapeIndexError
 from fsh3d_o3d.index.extraction import Described, frame_numbers, identity
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class Query:
     """What rows of an index are compared with; rounded as if stored: a file is at distance 0 from itself."""
 

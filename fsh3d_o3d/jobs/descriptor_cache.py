@@ -15,7 +15,6 @@ import os
 import sqlite3
 import struct
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 
 from fsh3d_o3d._cache_folder import cache_folder
 from fsh3d_o3d._regular_file import open_regular
+from fsh3d_o3d._value import value
 from fsh3d_o3d._version import __version__
 
 __all__ = ["clear_descriptor_cache", "descriptor_cache_path"]
@@ -58,7 +58,7 @@ def clear_descriptor_cache() -> int:
     return removed
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class CachedDescriptor:
     """A descriptor and what it cost."""
 
@@ -124,8 +124,8 @@ class DescriptorCache:
         found: dict[bytes, CachedDescriptor] = {}
         for start in range(0, len(wanted), _KEYS_A_QUERY):
             part = wanted[start : start + _KEYS_A_QUERY]
-            for key, seconds, value, digest in self._select(part):
-                entry = _decoded(key, seconds, value, digest)
+            for key, seconds, stored, digest in self._select(part):
+                entry = _decoded(key, seconds, stored, digest)
                 if entry is None:
                     _log.warning("ignoring a damaged entry in %s", self._path)
                 else:

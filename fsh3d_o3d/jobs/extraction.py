@@ -20,6 +20,7 @@ from tqdm import tqdm
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._printable import printable
 from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d._value import value
 from fsh3d_o3d.files import read_geometry_file
 from fsh3d_o3d.geometry import MeshArrays, PointArrays
 from fsh3d_o3d.jobs.descriptor_cache import CachedDescriptor, DescriptorCache, descriptor_key
@@ -44,7 +45,7 @@ class Descriptor(Protocol):
         """Return the distances (n, m) between descriptors (n, d) and (m, d); only their order in a row counts."""
 
 
-@dataclass(frozen=True)
+@value
 class FailedInput:
     """An input that was left out."""
 
@@ -54,7 +55,7 @@ class FailedInput:
     """What is wrong with it, in one line."""
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class Extraction:
     """The descriptors of a list of files."""
 

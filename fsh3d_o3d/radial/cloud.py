@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import isqrt
 from typing import Literal
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import CoverageError, GeometryError
 from fsh3d_o3d.geometry import PointArrays
 from fsh3d_o3d.radial.angular_cells import AngularCells, largest_empty_cap
@@ -27,7 +27,7 @@ _FIRST_LOOK = 50_000  # points, a degree apart on a sphere: far below the holes 
 _NEAREST = 1e-9  # of the median; of smaller radii float64 keeps less than seven digits of the direction
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class CloudFit:
     """The radial function fitted to a point cloud, and what the fit found besides."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -13,6 +12,7 @@ from scipy.spatial import KDTree
 
 from fsh3d_o3d._validation import Float64Array, IntArray, choice, number, point
 from fsh3d_o3d._validation import directions as checked_directions
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError, NotStarShapedError
 from fsh3d_o3d.geometry import MeshArrays, UnitCube, UnitScene
 from fsh3d_o3d.radial.star import SAME_HIT, visible_area
@@ -29,7 +29,7 @@ _FILL_NEIGHBORS = 8  # directions whose mean fills one: its ring on the grid, an
 _PARITY_RAYS = 512  # to tell whether the centre is inside, by their majority: a few may graze edges
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class RadialSamples:
     """Distances from a centre to a surface."""
 

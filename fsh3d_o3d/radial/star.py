@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, point
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry import EdgeTable, MeshArrays, UnitCube, UnitScene, area_samples, oriented, solid_volume, weld
 from fsh3d_o3d.radial.star_kernel import FacePlanes, kernel_center
@@ -26,7 +26,7 @@ _REACHED = 1e-4  # a ray that ends within this fraction of its length before a s
 SAME_HIT = 1e-5
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class StarReport:
     """How much of a surface a centre sees."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, Surface, geometry_arrays
 from fsh3d_o3d.registration.search import Alignment, Ambiguity, align
@@ -27,7 +27,7 @@ __all__ = [
 _WHOLE = 0.8  # share of the surfaces in touch; where it is less, they are also aligned by their plain area
 
 
-@dataclass(frozen=True, kw_only=True)
+@value(kw_only=True)
 class SphericalRegistrationOption:
     """Options of ``registration_spherical``; checked when made.
 
@@ -65,7 +65,7 @@ class SphericalRegistrationOption:
         check.integer(self.samples, "samples", minimum=256, maximum=10**6)
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class SphericalRegistrationCandidate:
     """Another alignment of the two, which was not chosen."""
 
@@ -79,7 +79,7 @@ class SphericalRegistrationCandidate:
     """As that of the result, on a few hundred samples."""
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class SphericalRegistrationResult:
     """How the source lies on the target; Open3D's names, and what this method knows beyond.
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files import read_geometry_arrays
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, UnitCube, transformed
@@ -26,7 +27,7 @@ _SIDE = 220  # pixels of a picture
 _MOST_ELEMENTS = 8_000  # triangles or points of one shape: a page holds dozens
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class SearchResult:
     """A query and what it found."""
 

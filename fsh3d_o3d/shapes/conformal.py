@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, FloatArray
+from fsh3d_o3d._value import value
 from fsh3d_o3d.geometry import (
     GEOMETRY_KINDS,
     GeometryKind,
@@ -33,7 +34,7 @@ from fsh3d_o3d.sphere import SphericalGrid, degree_energies, filter_coefficients
 from fsh3d_o3d.sphere_map import ConformalMapOption, SphericalMap, conformal_map
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class ConformalShape(HarmonicShape):
     """A closed surface of genus 0 as its position x(ω) = Σ c_lm Y_lm(ω) over a map onto the sphere, star-shaped or not.
 
@@ -66,9 +67,6 @@ class ConformalShape(HarmonicShape):
         attributes = _attributes.checked_coefficients(self.attributes, b * b)
         object.__setattr__(self, "coefficients", own)
         object.__setattr__(self, "attributes", MappingProxyType(attributes))
-
-    def __reduce__(self) -> tuple[Any, ...]:  # a mapping proxy does not pickle
-        return type(self), (self.coefficients, dict(self.attributes), self.kind)
 
     @classmethod
     def from_geometry(

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._value import value
 
 _USUAL = (64, 256)  # points along an edge that a usual resolution stays within: 256³ take 4 GB, 512³ would 34
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class ShellVolume:
     """A field on a cubic grid: value [i, j, k] belongs to the point origin + spacing (i, j, k)."""
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry import (
     GEOMETRY_KINDS,
@@ -37,7 +37,7 @@ from fsh3d_o3d.sphere import (
 CenterName = Literal["auto", "best", "centroid"]
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class RadialShape(HarmonicShape):
     """A closed surface r(ω) = Σ c_lm Y_lm(ω) about a centre, as b² coefficients in the units of the input.
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, FloatArray
+from fsh3d_o3d._value import value
 from fsh3d_o3d.geometry import GeometryKind, MeshArrays
 from fsh3d_o3d.shapes import storage
 from fsh3d_o3d.shapes.attributes import attributes_as_arrays
@@ -82,7 +83,7 @@ class Shape(Protocol):
         """Write the shape to an ``.npz`` that ``load_shape`` reads."""
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class HarmonicShape:
     """Coefficients, and what is the same for all shapes that consist of some."""
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, FloatArray
+from fsh3d_o3d._value import value
 from fsh3d_o3d.geometry import (
     GEOMETRY_KINDS,
     GeometryKind,
@@ -35,7 +35,7 @@ _FEWEST_SHELLS, _MOST_SHELLS = 4, 4096  # the spline needs three nodes; the uppe
 _MARGIN = 0.05  # of empty space beyond the surface, in units of its farthest distance; a choice
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class ShellShape(HarmonicShape):
     """A field f(r, ω) = Σ f_lm(r) Y_lm(ω) in a ball, as b² coefficients on each of S concentric spheres.
 

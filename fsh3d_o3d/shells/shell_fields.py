@@ -6,13 +6,13 @@ blurs the surface's area or measures distances on a grid and interpolates; ``"ex
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from fsh3d_o3d._validation import Float64Array, choice, integer, number
+from fsh3d_o3d._value import value
 from fsh3d_o3d.geometry import Surface, UnitScene, point_triangle_distance
 from fsh3d_o3d.shells.voxel_fields import VoxelGrid
 
@@ -20,7 +20,7 @@ Route = Literal["voxel", "exact"]
 Distance = Literal["soft", "nearest"]
 
 
-@dataclass(frozen=True)
+@value
 class ShellFields:
     """Which fields are sampled on which shells; checked when made."""
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from dataclasses import dataclass
 from fractions import Fraction
 from math import isqrt
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._value import value
 from fsh3d_o3d.sphere.icosahedron import icosphere
 
 __all__ = [
@@ -31,7 +31,7 @@ __all__ = [
 _MAXIMUM_POINTS = 10**8  # a choice: 4 GB of directions and angles
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class SphericalGrid:
     """Sampling directions on the unit sphere, in a fixed order. Nothing changes a grid."""
 
@@ -54,6 +54,9 @@ class SphericalGrid:
                 array = np.array(array, dtype=np.float64)
                 array.setflags(write=False)
                 object.__setattr__(self, name, array)
+
+    def __repr__(self) -> str:
+        return f"SphericalGrid({self.name!r}, {len(self)} directions)"
 
     def __len__(self) -> int:
         """Number of directions."""

@@ -9,12 +9,12 @@ energy of the function, a thin-plate spline on the sphere (Wahba 1981): it fills
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 
 import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import FloatArray
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import ConvergenceWarning
 from fsh3d_o3d.sphere.engines import Engine, EnginePair
 from fsh3d_o3d.sphere.grids import SphericalGrid, grid_from_directions
@@ -23,7 +23,7 @@ from fsh3d_o3d.sphere.harmonics import degrees_and_orders
 __all__ = ["LeastSquaresFit", "fit_coefficients"]
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class LeastSquaresFit:
     """Fitted coefficients and how well the normal equations are solved."""
 

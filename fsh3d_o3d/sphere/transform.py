@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, Literal
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, FloatArray
+from fsh3d_o3d._value import value
 from fsh3d_o3d.sphere.analytic_weights import solve_weights, warn_if_inexact
 from fsh3d_o3d.sphere.engines import EngineName, EnginePair
 from fsh3d_o3d.sphere.grids import SphericalGrid, fibonacci_grid, grid_from_directions, grid_size, require_grid
@@ -21,6 +23,7 @@ __all__ = ["SphericalHarmonicTransform", "evaluate", "evaluate_gradient"]
 Analysis = Literal["quadrature", "least_squares"]
 
 
+@value
 class SphericalHarmonicTransform:
     """A plan for transforms between n samples on a grid and the b² coefficients of degree < b.
 
@@ -56,6 +59,19 @@ class SphericalHarmonicTransform:
         True
     """
 
+    bandwidth: int
+    """b: degrees 0 … b − 1."""
+    grid: SphericalGrid
+    """Where functions are sampled."""
+    weights: Float64Array
+    """(n,) quadrature weights, read-only."""
+    engine: EngineName
+    """As given."""
+    analysis: Analysis
+    """What ``forward`` does."""
+    threads: int | None
+    """At most so many; None: all that the process may use."""
+
     def __init__(
         self,
         bandwidth: int,
@@ -67,51 +83,34 @@ class SphericalHarmonicTransform:
         oversampling: float | None = None,
         threads: int | None = None,
     ) -> None:
-        self._bandwidth = check.bandwidth(bandwidth)
+        b = check.bandwidth(bandwidth)
         if grid is not None:
             require_grid(grid)
-        self._analysis = check.choice(analysis, "analysis", ("quadrature", "least_squares"))
-        self._threads = None if threads is None else check.integer(threads, "threads", minimum=1, maximum=1024)
+        check.choice(analysis, "analysis", ("quadrature", "least_squares"))
+        threads = None if threads is None else check.integer(threads, "threads", minimum=1, maximum=1024)
         if grid is not None and oversampling is not None:
             raise ValueError("give a grid or an oversampling, not both")
         if grid is None:
-            size = grid_size(self._bandwidth, oversampling)
-            check.memory(200.0 * size, f"a transform of bandwidth {self._bandwidth} on {size} points")
+            size = grid_size(b, oversampling)
+            check.memory(200.0 * size, f"a transform of bandwidth {b} on {size} points")
             grid = fibonacci_grid(size)
-        self._grid = grid
         if weights is None and analysis == "least_squares":
-            weights = np.full(len(self._grid), 4 * np.pi / len(self._grid))
+            weights = np.full(len(grid), 4 * np.pi / len(grid))
         elif weights is None:
-            weights = solve_weights(self._grid, self._bandwidth, threads=threads)
-            warn_if_inexact(weights, self._grid, stacklevel=3)
+            weights = solve_weights(grid, b, threads=threads)
+            warn_if_inexact(weights, grid, stacklevel=3)
         if isinstance(weights, WeightSolution):
             weights = weights.weights
-        self._weights = np.array(check.values_on(weights, "weights", len(self._grid)), dtype=np.float64)
-        if self._weights.ndim != 1:
-            raise ValueError(f"weights must have shape (n,) = ({len(self._grid)},), got {self._weights.shape}")
-        self._weights.setflags(write=False)
-        self._engines = EnginePair(self._grid, self._bandwidth, self._weights, engine)
+        own = np.array(check.values_on(weights, "weights", len(grid)), dtype=np.float64)
+        if own.ndim != 1:
+            raise ValueError(f"weights must have shape (n,) = ({len(grid)},), got {own.shape}")
+        own.setflags(write=False)
+        vars(self).update(bandwidth=b, grid=grid, weights=own, engine=engine, analysis=analysis, threads=threads)
+        _ = self._engines  # checks its part
 
-    @property
-    def bandwidth(self) -> int:
-        """b: degrees 0 … b − 1."""
-        return self._bandwidth
-
-    @property
-    def grid(self) -> SphericalGrid:
-        """Where functions are sampled."""
-        return self._grid
-
-    @property
-    def weights(self) -> Float64Array:
-        """(n,) quadrature weights, read-only."""
-        return self._weights
-
-    def __repr__(self) -> str:
-        return (
-            f"SphericalHarmonicTransform(bandwidth={self._bandwidth}, grid={self._grid.name} with {len(self._grid)} "
-            f"points, analysis={self._analysis!r})"
-        )
+    @functools.cached_property
+    def _engines(self) -> EnginePair:
+        return EnginePair(self.grid, self.bandwidth, self.weights, self.engine)
 
     def forward(self, values: object) -> FloatArray:
         """Return the coefficients of sampled functions: (…, n) → (…, b²).
@@ -122,14 +121,14 @@ class SphericalHarmonicTransform:
         Raises:
             ValueError: Wrong last axis, or values that are not finite.
         """
-        samples = check.values_on(values, "values", len(self._grid))
-        flat = np.ascontiguousarray(samples.reshape(_leading(samples), len(self._grid)))
+        samples = check.values_on(values, "values", len(self.grid))
+        flat = np.ascontiguousarray(samples.reshape(_leading(samples), len(self.grid)))
         engine = self._engines.pick(len(flat))
-        if self._analysis == "least_squares":
-            result = solve_least_squares(flat, engine, threads=self._threads).coefficients
+        if self.analysis == "least_squares":
+            result = solve_least_squares(flat, engine, threads=self.threads).coefficients
         else:
-            result = engine.analyse(flat, self._threads)
-        return result.reshape(*samples.shape[:-1], self._bandwidth**2)
+            result = engine.analyse(flat, self.threads)
+        return result.reshape(*samples.shape[:-1], self.bandwidth**2)
 
     def inverse(self, coefficients: object) -> FloatArray:
         """Return the functions of given coefficients at the grid's points: (…, b²) → (…, n).
@@ -140,13 +139,13 @@ class SphericalHarmonicTransform:
             ValueError: The last axis is not a square number, is more than b², or values are not finite.
         """
         given, b = check.coefficients(coefficients)
-        if b > self._bandwidth:
+        if b > self.bandwidth:
             raise ValueError(
-                f"coefficients are of bandwidth {b}, the transform of {self._bandwidth}; truncate them first"
+                f"coefficients are of bandwidth {b}, the transform of {self.bandwidth}; truncate them first"
             )
-        flat = np.zeros((_leading(given), self._bandwidth**2), dtype=given.dtype)
+        flat = np.zeros((_leading(given), self.bandwidth**2), dtype=given.dtype)
         flat[:, : b * b] = given.reshape(len(flat), b * b)
-        return self._engines.pick(len(flat)).synthesise(flat, self._threads).reshape(*given.shape[:-1], len(self._grid))
+        return self._engines.pick(len(flat)).synthesise(flat, self.threads).reshape(*given.shape[:-1], len(self.grid))
 
 
 def evaluate(coefficients: object, directions: object, *, threads: int | None = None) -> FloatArray:

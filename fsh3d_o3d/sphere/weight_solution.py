@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._value import value
 
 __all__ = ["WeightSolution"]
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class WeightSolution:
     """Quadrature weights and how well they meet Eq. (8)."""
 

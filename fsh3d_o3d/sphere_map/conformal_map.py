@@ -11,6 +11,7 @@ import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry import MeshArrays, UnitCube, geometry_arrays
 from fsh3d_o3d.sphere import single_threaded_blas
@@ -31,7 +32,7 @@ _RECOVERY_STEPS = 50  # Newton steps towards the conformal map after a fallback,
 _FLOW_TOLERANCE = 0.02  # of what is left: the next step would change the mean distortion in the third digit
 
 
-@dataclass(frozen=True, kw_only=True)
+@value(kw_only=True)
 class ConformalMapOption:
     """How a surface is mapped to the sphere.
 

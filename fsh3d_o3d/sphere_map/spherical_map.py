@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d._value import value
 from fsh3d_o3d.geometry import GeometryKind, MeshArrays, chosen_kind, open3d_mesh
 
 __all__ = ["MapMethod", "SphericalMap"]
@@ -14,7 +14,7 @@ MapMethod = Literal["flow", "untangled", "embedding"]
 """What made a map valid: the flow alone, local untangling after it, or the coarse-to-fine embedding."""
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class SphericalMap:
     """A one-to-one map of a closed genus-0 surface to the unit sphere, triangle by triangle."""
 

@@ -312,7 +312,8 @@ def test_default_plan() -> None:
     assert transform.grid is fsh.fibonacci_grid(294)
     assert np.array_equal(transform.weights, fsh.analytic_weights(transform.grid, 7).weights)
     assert repr(transform) == (
-        "SphericalHarmonicTransform(bandwidth=7, grid=fibonacci with 294 points, analysis='quadrature')"
+        "SphericalHarmonicTransform(bandwidth=7, grid=SphericalGrid('fibonacci', 294 directions), "
+        "weights=<float64 294>, engine='auto', analysis='quadrature', threads=None)"
     )
     with pytest.raises(ValueError, match=r"read-only"):
         transform.weights[0] = 1

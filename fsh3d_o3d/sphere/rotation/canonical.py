@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._value import value
 from fsh3d_o3d.sphere.coefficients import degree_energies, truncate
 from fsh3d_o3d.sphere.harmonics import degrees_and_orders
 from fsh3d_o3d.sphere.rotation.rotation_search import estimate_rotation
@@ -23,7 +23,7 @@ _NORM_FLOOR = 0.1  # of the norm, a choice: degrees with less than about this mu
 _MAXIMA = 12  # of the correlation to compare, a choice; twice as many are followed
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class CanonicalPose:
     """The rotation that takes functions to their canonical pose. NumPy takes it for the matrix ``rotation``."""
 

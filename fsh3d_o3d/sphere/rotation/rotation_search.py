@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._value import value
 from fsh3d_o3d.sphere.coefficients import degree_energies
 from fsh3d_o3d.sphere.rotation.correlation import correlator
 from fsh3d_o3d.sphere.rotation.rotation import parity
@@ -26,7 +25,7 @@ _CONSTANT = 1e-8  # of the norm, eight digits above rounding: below it, nothing 
 _BLOCK = 24  # candidates a job, a choice; fixed, so that results do not depend on the number of threads
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class RotationEstimate:
     """The rotation of highest correlation, and the runners-up. Arrays are read-only."""
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._value import value
 from fsh3d_o3d.sphere.coefficients import truncate
 from fsh3d_o3d.sphere.harmonics import degrees_and_orders
 from fsh3d_o3d.sphere.rotation.correlation import correlator, exponential
@@ -30,7 +29,7 @@ _REVOLUTION_STEPS = 720  # rotations that stand for all about an axis, half a de
 _SPHERICAL = 0.005  # of the norm, a choice: where less depends on direction, the shape is a sphere
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class SymmetryAxis:
     """An axis of rotation."""
 
@@ -42,7 +41,7 @@ class SymmetryAxis:
     """The smallest correlation of the function with itself over these rotations, at most 1."""
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class SymmetryPlane:
     """A mirror plane through the centre."""
 
@@ -52,7 +51,7 @@ class SymmetryPlane:
     """The correlation of the function with its mirror image, at most 1."""
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class SymmetryReport:
     """Rotations and reflections that change functions on the sphere little."""
 
