@@ -7,7 +7,16 @@
 
 from fsh3d_o3d._version import __version__
 from fsh3d_o3d.closing import Closing, prepare_closed
-from fsh3d_o3d.descriptors import SHDOption, compute_shd_feature, descriptor_distances, shd_descriptor
+from fsh3d_o3d.descriptors import (
+    CPSHDOption,
+    ShapeSignature,
+    SHDOption,
+    compute_cpshd_feature,
+    compute_shd_feature,
+    compute_signature,
+    descriptor_distances,
+    shd_descriptor,
+)
 from fsh3d_o3d.errors import (
     ConvergenceWarning,
     CoverageError,
@@ -18,12 +27,46 @@ from fsh3d_o3d.errors import (
     NotStarShapedError,
     QuadratureWarning,
 )
-from fsh3d_o3d.evaluation import RetrievalMetrics, evaluate_models, read_classification, retrieval_metrics
+from fsh3d_o3d.evaluation import (
+    Classification,
+    ClassScores,
+    Evaluation,
+    RetrievalMetrics,
+    RetrievalScores,
+    ShapeClass,
+    evaluate_models,
+    read_classification,
+    retrieval_metrics,
+)
 from fsh3d_o3d.files import read_geometry, write_geometry
-from fsh3d_o3d.geometry import SurfaceError, surface_error, vertex_distances
-from fsh3d_o3d.index import Hit, ShapeIndex, ShapeIndexError
-from fsh3d_o3d.jobs import clear_descriptor_cache
-from fsh3d_o3d.registration import SphericalRegistrationOption, SphericalRegistrationResult, registration_spherical
+from fsh3d_o3d.geometry import (
+    MeshArrays,
+    MeshMeasures,
+    PointArrays,
+    Repair,
+    SurfaceError,
+    repair_mesh,
+    surface_error,
+    vertex_distances,
+)
+from fsh3d_o3d.index import (
+    Hit,
+    IndexedModel,
+    IndexSummary,
+    IndexUpdate,
+    LibraryMove,
+    NearDuplicate,
+    ShapeIndex,
+    ShapeIndexError,
+)
+from fsh3d_o3d.jobs import FailedInput, clear_descriptor_cache
+from fsh3d_o3d.radial import StarReport, star_center
+from fsh3d_o3d.registration import (
+    SphericalRegistrationCandidate,
+    SphericalRegistrationOption,
+    SphericalRegistrationResult,
+    registration_spherical,
+)
 from fsh3d_o3d.shapes import ConformalShape, RadialShape, Shape, ShellShape, ShellVolume, canonical_rotation, load_shape
 from fsh3d_o3d.sphere import (
     CanonicalPose,
@@ -131,17 +174,33 @@ __all__ = [
     "canonical_rotation",
     "load_shape",
     # descriptors
+    "CPSHDOption",
     "SHDOption",
+    "ShapeSignature",
+    "compute_cpshd_feature",
     "compute_shd_feature",
+    "compute_signature",
     "descriptor_distances",
     "shd_descriptor",
     # registration
+    "SphericalRegistrationCandidate",
     "SphericalRegistrationOption",
     "SphericalRegistrationResult",
     "registration_spherical",
     # retrieval
+    "ClassScores",
+    "Classification",
+    "Evaluation",
+    "FailedInput",
     "Hit",
+    "IndexSummary",
+    "IndexUpdate",
+    "IndexedModel",
+    "LibraryMove",
+    "NearDuplicate",
     "RetrievalMetrics",
+    "RetrievalScores",
+    "ShapeClass",
     "ShapeIndex",
     "ShapeIndexError",
     "clear_descriptor_cache",
@@ -155,8 +214,15 @@ __all__ = [
     "conformal_map",
     "prepare_closed",
     # geometry
+    "MeshArrays",
+    "MeshMeasures",
+    "PointArrays",
+    "Repair",
+    "StarReport",
     "SurfaceError",
     "read_geometry",
+    "repair_mesh",
+    "star_center",
     "surface_error",
     "vertex_distances",
     "write_geometry",

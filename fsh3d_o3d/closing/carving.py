@@ -10,8 +10,8 @@ simple vertices at once see Bertrand and Couprie 2014.)
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from fsh3d_o3d._validation import IntArray
 from fsh3d_o3d.closing.kuhn_grid import NEIGHBORS, flat_offsets, simple_vertices
@@ -28,7 +28,7 @@ def carve(kept: BoolArray) -> BoolArray:
     shape = kept.shape
     body = np.zeros(shape, dtype=np.uint8)
     body[1:-1, 1:-1, 1:-1] = 1
-    level = np.ceil(distance_transform_edt(~kept) / _BAND).astype(np.int16)
+    level = np.ceil(scipy.ndimage.distance_transform_edt(~kept) / _BAND).astype(np.int16)
     level[body == 0] = 0
     alive, rank = body.ravel(), level.ravel()
     order = np.flatnonzero(rank)  # level 0 is what is kept

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation, label
+import scipy
 
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.closing.kuhn_grid import NEIGHBORS, flat_offsets, structure
@@ -43,7 +43,7 @@ def enclose(scene: UnitScene, shape: tuple[int, int, int]) -> Enclosure:
     The surface must stay three cells clear of the ends of the grid.
     """
     distance, touched = _near_surface(scene, shape)
-    parts = label(distance > _SEALED, structure())[0]
+    parts = scipy.ndimage.label(distance > _SEALED, structure())[0]
     outside = np.asarray(parts == parts[0, 0, 0])
     flat, reach = outside.ravel(), distance.ravel()
     grid = _Edges(scene, reach, shape)
@@ -59,7 +59,7 @@ def enclose(scene: UnitScene, shape: tuple[int, int, int]) -> Enclosure:
     cut = grid.crossed(start, end)
     start, end = start[cut], end[cut]
     # A wire may cross no edge. It keeps the vertices in whose unit cubes it runs, unless they touch a solid.
-    thin = touched & outside & ~binary_dilation(~outside, structure())
+    thin = touched & outside & ~scipy.ndimage.binary_dilation(~outside, structure())
     thin.ravel()[np.where(reach[start] <= reach[end], start, end)] = True
     return Enclosure(~outside | thin, distance, thin)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
-from scipy.ndimage import label
+import scipy
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
@@ -255,7 +255,10 @@ def _carved(mesh: MeshArrays, cells: int, points: Float64Array) -> tuple[MeshArr
 
 def _carving_notes(solid: Enclosure, added: BoolArray) -> tuple[str, ...]:
     grid = " × ".join(map(str, added.shape))
-    parts, fillings = int(label(solid.kept, structure())[1]), int(label(added, structure())[1])
+    parts, fillings = (
+        int(scipy.ndimage.label(solid.kept, structure())[1]),
+        int(scipy.ndimage.label(added, structure())[1]),
+    )
     notes: tuple[str, ...] = (f"rebuilt as the surface of a solid carved on a grid of {grid} vertices",)
     if solid.thin.any():
         notes += ("gave sheets and wires a thickness",)

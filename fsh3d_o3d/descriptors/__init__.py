@@ -7,6 +7,7 @@ from fsh3d_o3d.descriptors.shd import (
     CPSHDOption,
     ShapeSignature,
     SHDOption,
+    compute_cpshd_feature,
     compute_shd_feature,
     compute_signature,
     descriptor_distances,
@@ -15,6 +16,7 @@ from fsh3d_o3d.descriptors.shd import (
 from fsh3d_o3d.descriptors.signature_distance import fits_only_mirrored, mixed_distances, signature_distances
 
 __all__ = [
+    "compute_cpshd_feature",
     "CPSHDDescriptor",
     "CPSHDOption",
     "SHDDescriptor",

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from fsh3d_o3d.evaluation.classification import read_classification
+from fsh3d_o3d.evaluation.classification import Classification, ShapeClass, read_classification
 from fsh3d_o3d.evaluation.evaluation import Evaluation, evaluate_models
-from fsh3d_o3d.evaluation.metrics import RECALL_LEVELS, RetrievalMetrics, retrieval_metrics
+from fsh3d_o3d.evaluation.metrics import (
+    RECALL_LEVELS,
+    ClassScores,
+    RetrievalMetrics,
+    RetrievalScores,
+    retrieval_metrics,
+)
 from fsh3d_o3d.evaluation.model_files import find_models
 from fsh3d_o3d.evaluation.precision_recall_plot import precision_recall_png
 
 __all__ = [
+    "RetrievalScores",
+    "ClassScores",
+    "ShapeClass",
+    "Classification",
     "RECALL_LEVELS",
     "Evaluation",
     "RetrievalMetrics",

@@ -22,6 +22,7 @@ from .rays import UnitCube as UnitCube
 from .rays import UnitScene as UnitScene
 from .rays import ray_casting_scene as ray_casting_scene
 from .rays import ray_tensor as ray_tensor
+from .repair import Repair as Repair
 from .repair import repair_mesh as repair_mesh
 from .sampling import surface_points as surface_points
 from .similarity import transformed as transformed

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, point
 from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry import EdgeTable, MeshArrays, UnitCube, UnitScene, area_samples, oriented, solid_volume, weld
+from fsh3d_o3d.geometry import (
+    EdgeTable,
+    MeshArrays,
+    UnitCube,
+    UnitScene,
+    area_samples,
+    geometry_arrays,
+    oriented,
+    solid_volume,
+    weld,
+)
 from fsh3d_o3d.radial.star_kernel import FacePlanes, kernel_center
 from fsh3d_o3d.sphere import fibonacci_grid
 
@@ -63,11 +73,11 @@ def star_report(mesh: MeshArrays, center: Float64Array) -> StarReport:
     return _StarTests(mesh).report(point(center, "center"), None)
 
 
-def star_center(mesh: MeshArrays, method: Literal["best", "centroid"] | Float64Array = "best") -> StarReport:
+def star_center(mesh: Any, method: Literal["best", "centroid"] | Float64Array = "best") -> StarReport:
     """Choose a centre for radial functions and report how star-shaped the surface is, seen from there.
 
     Args:
-        mesh: A closed surface, or an open one, of which only the ray tests tell.
+        mesh: Open3D triangle mesh or ``MeshArrays``: a closed surface, or an open one, of which only ray tests tell.
         method: ``"best"``: the centre of the largest ball in the kernel, found by a cutting-plane linear programme over
             the planes of all faces; where the kernel is empty, or slivers with wrong normals empty it, the point that
             sees most area without touching the surface, searched among the centroids, the point least outside of any
@@ -75,12 +85,16 @@ def star_center(mesh: MeshArrays, method: Literal["best", "centroid"] | Float64A
             encloses none. A (3,) array: that point.
 
     Raises:
+        TypeError: Not a triangle mesh.
         ValueError: Another method, or a centre that is not a finite (3,) vector.
         GeometryError: The mesh has no extent or no area.
     """
+    arrays, _ = geometry_arrays(mesh)
+    if not isinstance(arrays, MeshArrays):
+        raise TypeError("a point cloud has no surface to see: star_center takes triangle meshes")
     if not isinstance(method, str):
-        return star_report(mesh, method)
-    surface = _StarTests(mesh)
+        return star_report(arrays, method)
+    surface = _StarTests(arrays)
     if method == "centroid":
         return surface.report(surface.cube.from_unit(surface.centroids()[0]), None)
     if method != "best":

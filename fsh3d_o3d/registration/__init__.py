@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fsh3d_o3d.registration.register import (
+    SphericalRegistrationCandidate,
     SphericalRegistrationOption,
     SphericalRegistrationResult,
     registration_spherical,
@@ -10,6 +11,7 @@ from fsh3d_o3d.registration.register import (
 from fsh3d_o3d.registration.surface import plain_surface, resolved_surface, shell_coefficients
 
 __all__ = [
+    "SphericalRegistrationCandidate",
     "SphericalRegistrationOption",
     "SphericalRegistrationResult",
     "plain_surface",

@@ -6,7 +6,7 @@ import math
 from typing import Any, cast
 
 import numpy as np
-from scipy.ndimage import uniform_filter
+import scipy
 
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, IntArray
@@ -114,7 +114,9 @@ def _openness(scene: Any, place: Float64Array, normal: Float64Array, pixel: IntA
     image, seen = np.zeros((2, raster.height * raster.width))
     image[pixel], seen[pixel] = open_rays / _RAYS, 1
     mean, weight = (
-        uniform_filter(value.reshape(raster.height, raster.width), 2 * _TILE, mode="constant").ravel()[pixel]
+        scipy.ndimage.uniform_filter(value.reshape(raster.height, raster.width), 2 * _TILE, mode="constant").ravel()[
+            pixel
+        ]
         for value in (image, seen)
     )
     return cast(Float64Array, np.clip(mean / weight, 0, 1))

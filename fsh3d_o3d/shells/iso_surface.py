@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import map_coordinates
+import scipy
 
 from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d._validation import Float64Array
@@ -67,5 +67,5 @@ def _is_manifold(mesh: MeshArrays) -> bool:
 def _normals(values: Float64Array, places: Float64Array) -> Float64Array:
     """Directions of steepest ascent (v, 3), interpolated from central differences."""
     parts: tuple[Float64Array, ...] = tuple(np.gradient(values))
-    slope = np.stack([map_coordinates(part, places.T, order=1, mode="nearest") for part in parts], axis=1)
+    slope = np.stack([scipy.ndimage.map_coordinates(part, places.T, order=1, mode="nearest") for part in parts], axis=1)
     return np.asarray(slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-300))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+import scipy
 from scipy.sparse import csr_array
 
 from fsh3d_o3d._validation import Float64Array, IntArray
@@ -104,7 +104,9 @@ class VoxelGrid:
         count = np.bincount(flat, minlength=size)
         mean = [np.bincount(flat, points[:, k], size) / np.maximum(count, 1) for k in range(3)]
         shape = (self.voxels,) * 3
-        nearest = distance_transform_edt((count == 0).reshape(shape), return_distances=False, return_indices=True)
+        nearest = scipy.ndimage.distance_transform_edt(
+            (count == 0).reshape(shape), return_distances=False, return_indices=True
+        )
         place = ((nearest[0] * self.voxels + nearest[1]) * self.voxels + nearest[2]).ravel()
         own = (np.arange(self.voxels) - (self.voxels - 1) / 2) * self.step
         nodes = (own[:, None, None], own[:, None], own)
