@@ -19,6 +19,8 @@ QUICK = SHDOption(
     bandwidth=4, shells=8, voxels=24, samples=1024, smoothing=0.2, invariant="cross_shell", normalisation="l1"
 )
 """An option that takes milliseconds."""
+NOT_AT_ALL = 0
+"""Seconds for which a version is kept that is old as soon as it is replaced, however soon that is asked."""
 
 
 def blob(number: int) -> MeshArrays:
