@@ -25,7 +25,7 @@ from fsh3d_o3d.index.roots import real_file, real_files, real_folder
 from fsh3d_o3d.index.rows import Query
 from fsh3d_o3d.index.search import IndexSearch
 from fsh3d_o3d.index.store import IndexStore
-from fsh3d_o3d.index.summary import summary
+from fsh3d_o3d.index.summary import indexed_models, summary
 from fsh3d_o3d.jobs import FailedInput, run_tasks_on_ray
 
 __all__ = [
@@ -134,12 +134,7 @@ class ShapeIndex:
             >>> [(Path(model.path).name, model.triangles) for model in index.models() if model.watertight]
             [('gem.stl', 94), ('gem_rotated.stl', 94), ('horn.off', 3784)]
         """
-        names = ["path", "size", "mtime", "vertices", "triangles", "watertight"]
-        columns = self._store.reading(lambda models: models.columns(names)).to_pydict()
-        roots = self._store.roots()
-        paths = [roots.path(stored) for stored in columns["path"]]
-        for row in sorted(range(len(paths)), key=paths.__getitem__):
-            yield IndexedModel(paths[row], *(columns[name][row] for name in names[1:]))
+        yield from indexed_models(self._store)
 
     def summary(self) -> IndexSummary:
         """Return how many models there are, of which libraries, and what the index takes.

@@ -1,15 +1,26 @@
-"""What an index is: how many models of which libraries, and what it takes."""
+"""What an index is: its models, how many of which libraries, and what it takes."""
 
 from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Iterator
 
 from fsh3d_o3d.files import is_uri, list_objects
 from fsh3d_o3d.index.errors import translated
-from fsh3d_o3d.index.results import IndexSummary
+from fsh3d_o3d.index.results import IndexedModel, IndexSummary
 from fsh3d_o3d.index.roots import library_of
 from fsh3d_o3d.index.store import FORMAT, IndexStore
+
+
+def indexed_models(store: IndexStore) -> Iterator[IndexedModel]:
+    """Yield what is known of each model, in the order of their paths."""
+    names = ["path", "size", "mtime", "vertices", "triangles", "watertight"]
+    columns = store.reading(lambda models: models.columns(names)).to_pydict()
+    roots = store.roots()
+    paths = [roots.path(stored) for stored in columns["path"]]
+    for row in sorted(range(len(paths)), key=paths.__getitem__):
+        yield IndexedModel(paths[row], *(columns[name][row] for name in names[1:]))
 
 
 def summary(store: IndexStore) -> IndexSummary:
