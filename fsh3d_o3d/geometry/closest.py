@@ -12,7 +12,6 @@ _CHUNK = 2**15  # points at a time, a choice, so that their triangles stay in th
 
 
 def closest_points(scene: UnitScene, points: Float64Array) -> Float64Array:
-    """Return the point (n, 3) closest to each point (n, 3) on the triangle that float32 says is the closest."""
+    """Return the point (n, 3) closest to each point (n, 3) of the surface of a scene."""
     parts = [points[start : start + _CHUNK] for start in range(0, len(points), _CHUNK)]
-    corners = scene.vertices[scene.triangles]
-    return np.concatenate([part + point_triangle_offsets(part, corners[scene.closest(part)]) for part in parts])
+    return np.concatenate([part + point_triangle_offsets(part, scene.corners[scene.closest(part)]) for part in parts])

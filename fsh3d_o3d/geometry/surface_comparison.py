@@ -7,22 +7,17 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from fsh3d_o3d._validation import Float64Array, IntArray, integer
+from fsh3d_o3d._validation import Float64Array, integer
 from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, geometry_arrays
 from fsh3d_o3d.geometry.measures import area_samples, enclosed_volume, weld
 from fsh3d_o3d.geometry.rays import UnitCube, UnitScene
-from fsh3d_o3d.geometry.topology import EdgeTable
-from fsh3d_o3d.geometry.triangles import longest_edges, point_triangle_distance, triangle_normals
+from fsh3d_o3d.geometry.triangles import point_triangle_distance
 
 _CHUNK = 2**17  # points at a time, for memory; a choice
-_STEPS = 8  # to neighbouring triangles at most, until none is closer; a choice
-_THIN = 8.0  # longest edge over height, beyond which float32 misplaces closest points by more than its own rounding
-_RAY_SETBACK = 1e-5  # in the unit cube: rays begin this far behind a point, so as to meet the surface it lies on
 
 
 @value
@@ -144,66 +139,12 @@ def _distances(points: Float64Array, target: MeshArrays | PointArrays, cube: Uni
     if isinstance(target, PointArrays):
         return np.asarray(KDTree(cube.to_unit(target.points)).query(points)[0])
     try:
-        target = weld(target)  # neighbours are found by shared vertices
+        target = weld(target)
     except GeometryError:
         raise GeometryError("the mesh to measure distances to has no area") from None
-    surface = _DistanceMeter(cube.to_unit(target.vertices), target.triangles)
-    parts = [surface.distances(points[start : start + _CHUNK]) for start in range(0, len(points), _CHUNK)]
-    return np.concatenate(parts)
-
-
-class _DistanceMeter:
-    """Triangles in the unit cube, to measure distances to in float64."""
-
-    def __init__(self, vertices: Float64Array, triangles: IntArray) -> None:
-        self._scene = UnitScene(vertices, triangles)
-        self._corners = vertices[triangles]
-        self._neighbors = EdgeTable(triangles).neighbors()
-        normals = triangle_normals(self._corners)
-        area = np.linalg.norm(normals, axis=1)
-        self._thin = bool(np.any(longest_edges(self._corners) > _THIN * area))
-        self._normals = normals / np.where(area > 0, area, 1.0)[:, None]
-
-    def distances(self, points: Float64Array) -> Float64Array:
-        """Return the distance (n,) of each point."""
-        closest = self._scene.closest(points)
-        best = point_triangle_distance(points, self._corners[closest])
-        if self._thin:
-            # In float32 the closest point of a needle can be far off, and so the needle lose to another triangle. Rays
-            # meet needles reliably: off a nearly flat place along its normal, near the surface along some axis.
-            normal = self._normals[closest]
-            axes = (np.broadcast_to(axis, points.shape) for axis in np.eye(3))
-            for direction in (normal, -normal, *axes):
-                _, met = self._scene.cast(points - _RAY_SETBACK * direction, direction)
-                _keep_better(points, np.arange(len(points)), met, self._corners, closest, best)
-        # float32 may also name a triangle beside the closest one; from there, neighbours lead to it.
-        moving = np.arange(len(points))
-        for _ in range(_STEPS):
-            around = self._neighbors[closest[moving]]
-            better = [_keep_better(points, moving, around[:, k], self._corners, closest, best) for k in range(3)]
-            moving = moving[np.logical_or.reduce(better)]
-            if moving.size == 0:
-                break
-        return best
-
-
-def _keep_better(
-    points: Float64Array,
-    which: IntArray,
-    triangles: IntArray,
-    corners: Float64Array,
-    closest: IntArray,
-    best: Float64Array,
-) -> NDArray[np.bool_]:
-    """Replace ``closest`` and ``best`` of the points ``which`` where ``triangles`` (−1: none) are closer.
-
-    Returns:
-        Where they are, as a mask over ``which``.
-    """
-    distance = point_triangle_distance(points[which], corners[np.maximum(triangles, 0)])
-    better = (triangles >= 0) & (distance < best[which])
-    closest[which[better]], best[which[better]] = triangles[better], distance[better]
-    return np.asarray(better)
+    scene = UnitScene(cube.to_unit(target.vertices), target.triangles)
+    parts = [points[start : start + _CHUNK] for start in range(0, len(points), _CHUNK)]
+    return np.concatenate([point_triangle_distance(part, scene.corners[scene.closest(part)]) for part in parts])
 
 
 def _volume_error(original: MeshArrays, reconstruction: MeshArrays) -> float | None:

@@ -113,10 +113,9 @@ class ShellSampler:
 def squared_distances(surface: Surface, points: Float64Array) -> Float64Array:
     """Return the squared distance (n,) from points to the closest point of the surface, in float64.
 
-    Open3D names the closest triangle, to float32; the distance to it is computed again. For clouds it is the distance
-    to the nearest point.
+    For clouds it is the distance to the nearest point.
     """
     if surface.triangles is None:
         return np.asarray(cKDTree(surface.vertices).query(points)[0] ** 2)
-    closest = UnitScene(surface.vertices, surface.triangles).closest(points)
-    return np.asarray(point_triangle_distance(points, surface.vertices[surface.triangles[closest]]) ** 2)
+    scene = UnitScene(surface.vertices, surface.triangles)
+    return np.asarray(point_triangle_distance(points, scene.corners[scene.closest(points)]) ** 2)

@@ -62,7 +62,7 @@ class VolumeField:
     def sample(self, points: object, *, threads: int | None = None) -> Float64Array:
         """Return the field at points (…, 3) of the frame, (…,) float64.
 
-        Distances are float64 to the triangle that is closest in float32. Points (…, m, 3) are best given as paths of m:
+        Distances are float64. Points (…, m, 3) are best given as paths of m:
         neighbours on a path that are nearer to each other than to the surface are on the same side of it.
         """
         paths = check.real_array(points, "points").astype(np.float64)
@@ -82,10 +82,10 @@ class VolumeField:
         if self.points is not None:
             return np.asarray(KDTree(self.points).query(positions, workers=threads)[0])
         assert self.solid is not None
-        solid, scene = self.solid, UnitScene(self.solid.vertices, self.solid.triangles)
+        scene = UnitScene(self.solid.vertices, self.solid.triangles)
 
         def measured(part: Float64Array) -> Float64Array:
-            return point_triangle_distance(part, solid.vertices[solid.triangles[scene.closest(part)]])
+            return point_triangle_distance(part, scene.corners[scene.closest(part)])
 
         parts = [positions[start : start + _CHUNK] for start in range(0, len(positions), _CHUNK)]
         return np.concatenate(run_all([functools.partial(measured, part) for part in parts], threads))

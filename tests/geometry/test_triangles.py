@@ -5,6 +5,7 @@ import pytest
 
 from fsh3d_o3d.geometry.arrays import MeshArrays
 from fsh3d_o3d.geometry.measures import weld, weld_map
+from fsh3d_o3d.geometry.rays import UnitScene
 from fsh3d_o3d.geometry.triangles import (
     even_places,
     longest_edges,
@@ -67,3 +68,15 @@ def test_unused_vertices_are_told_apart_and_left_out():
     compact, kept = mesh.compact()
     assert kept.tolist() == [1, 2, 3] and compact.triangles.tolist() == [[0, 1, 2]]
     np.testing.assert_array_equal(compact.vertices, mesh.used_vertices)
+
+
+def test_the_closest_triangle_is_the_closest_of_all_in_float64(rng):
+    """Sheets closer together than float32 can tell, some of their triangles needles."""
+    corner = rng.uniform(-1, 1, size=(40, 3, 3))
+    corner[::4, 2] = corner[::4, 0] + 1e-7 * corner[::4, 2]
+    corners = np.concatenate([corner + 1e-9 * k for k in range(4)])
+    points = rng.uniform(-1, 1, size=(300, 3))
+    scene = UnitScene(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+    found = point_triangle_distance(points, corners[scene.closest(points)])
+    every = [point_triangle_distance(points, np.broadcast_to(one, (len(points), 3, 3))) for one in corners]
+    np.testing.assert_allclose(found, np.min(every, axis=0), atol=4e-15)  # rounding in needles; sheets are 1e-9 apart
