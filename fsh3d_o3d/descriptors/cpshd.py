@@ -25,7 +25,12 @@ _FRAME_SAMPLES = 256  # of the area, a few that nothing uses: the moments of a m
 
 @value(kw_only=True)
 class CPSHDOption:
-    """Options of the descriptor over a conformal map. Equal options compare equal. Checked when made."""
+    """Options of the descriptor over a conformal map. Equal options compare equal. Checked when made.
+
+    Example:
+        >>> fsh.CPSHDOption().metric in ("l1", "l2")
+        True
+    """
 
     bandwidth: int = 32
     """b: degrees 0 … b − 1; degree 0 is the position and counts as 0."""
@@ -91,6 +96,12 @@ def compute_cpshd_feature(mesh: Any, option: CPSHDOption | None = None) -> Any:
     Raises:
         TypeError: Not a mesh.
         GeometryError: Not a closed surface of genus 0, where ``option.repair`` is None; no area.
+
+    Example:
+        >>> gem = fsh.read_geometry("samples/gem.stl")
+        >>> feature = fsh.compute_cpshd_feature(gem)
+        >>> feature.data.shape[1]
+        3
     """
     feature = open3d().pipelines.registration.Feature()
     feature.data = _energies(mesh, option)

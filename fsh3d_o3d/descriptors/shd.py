@@ -102,6 +102,11 @@ def compute_signature(geometry: Any, option: SHDOption | None = None, *, bandwid
     Raises:
         TypeError: Not a geometry.
         GeometryError: As for ``compute_shd_feature``.
+
+    Example:
+        >>> signature = fsh.compute_signature(fsh.read_geometry("samples/gem.stl"))
+        >>> signature.feature.shape, signature.axes.shape
+        ((3600,), (3, 3))
     """
     option = _checked(SHDOption.best() if option is None else option)
     kept = check.integer(bandwidth, "bandwidth", minimum=2, maximum=option.bandwidth)

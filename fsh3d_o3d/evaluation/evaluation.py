@@ -97,6 +97,8 @@ def evaluate_models(
         (5, ())
         >>> evaluation.metrics.nearest_neighbor
         1.0
+        >>> evaluation.as_dict()["models"]
+        5
     """
     start = time.monotonic()
     if neighbors is not None:

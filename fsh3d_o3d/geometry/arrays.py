@@ -25,7 +25,14 @@ GEOMETRY_KINDS: tuple[GeometryKind, ...] = ("legacy", "tensor")
 
 @value
 class MeshArrays:
-    """A triangle mesh as arrays of its own."""
+    """A triangle mesh as arrays of its own.
+
+    Example:
+        >>> directions, triangles = fsh.icosphere(2)
+        >>> mesh = fsh.MeshArrays(directions, triangles[:10])
+        >>> len(mesh.compact()[0].vertices) < len(mesh.vertices)
+        True
+    """
 
     vertices: Float64Array
     """(v, 3) positions, finite."""
@@ -82,7 +89,13 @@ class MeshArrays:
 
 @value
 class PointArrays:
-    """A point cloud as arrays of its own."""
+    """A point cloud as arrays of its own.
+
+    Example:
+        >>> cloud = fsh.PointArrays(fsh.icosphere(2)[0])
+        >>> cloud.points.shape
+        (42, 3)
+    """
 
     points: Float64Array
     """(n, 3) positions, finite, n >= 1."""

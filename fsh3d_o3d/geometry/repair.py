@@ -50,6 +50,14 @@ def repair_mesh(mesh: Any, *, largest_hole: int = 1000) -> Repair:
         TypeError: Not a triangle mesh.
         GeometryError: The mesh has no extent, or nothing of it is left.
         ValueError: ``largest_hole`` is negative or not an integer.
+
+    Example:
+        >>> directions, triangles = fsh.icosphere(4)
+        >>> repair = fsh.repair_mesh(fsh.MeshArrays(directions, triangles[1:]))  # a triangle is missing
+        >>> repair.before.closed, repair.after.closed
+        (False, True)
+        >>> repair.to_triangle_mesh().is_watertight()
+        True
     """
     # Imported here: half a second, for those who repair.
     pymeshlab = import_installed("pymeshlab")

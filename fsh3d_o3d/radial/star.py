@@ -88,6 +88,11 @@ def star_center(mesh: Any, method: Literal["best", "centroid"] | Float64Array = 
         TypeError: Not a triangle mesh.
         ValueError: Another method, or a centre that is not a finite (3,) vector.
         GeometryError: The mesh has no extent or no area.
+
+    Example:
+        >>> report = fsh.star_center(fsh.read_geometry("samples/gem.stl"))
+        >>> report.exact, report.visible_area
+        (True, 1.0)
     """
     arrays, _ = geometry_arrays(mesh)
     if not isinstance(arrays, MeshArrays):
