@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +23,6 @@ from benchmarks._cases import fibonacci_case
 from benchmarks._measure import interleave
 from benchmarks._table import Cell, Check, Column, Curve, Plot, Row, Table
 from fsh3d_o3d.geometry import MeshArrays, PointArrays
-
-CloudMethod = Literal["least_squares", "resample"]
 
 SAMPLES = Path(__file__).resolve().parents[1] / "samples"
 
@@ -149,7 +146,7 @@ def _clouds(cases: tuple[_CloudCase, ...], bandwidth: int) -> Table:
             error = float(np.median([np.sqrt(np.square(own[shown]).mean()) for own in errors]))
             inside = float(np.median([np.sqrt(np.square(own[hidden]).mean()) for own in errors])) if case.hole else None
             checks = []
-            if method == "ours, least_squares":
+            if method == "ours":
                 if case.error is not None:
                     checks.append(Check("RMS", error, "<=", case.error))
                 if case.inside is not None and inside is not None:
@@ -235,10 +232,10 @@ def _encoded(plan: fsh.SphericalHarmonicTransform, mesh: MeshArrays) -> NDArray[
     return plan.forward(sample_radial(mesh, plan.grid.directions, np.zeros(3)).radii)
 
 
-def _fitted(points: NDArray[np.float64], bandwidth: int, method: CloudMethod) -> NDArray[np.float64]:
+def _fitted(points: NDArray[np.float64], bandwidth: int) -> NDArray[np.float64]:
     from fsh3d_o3d.radial import fit_radial_cloud
 
-    return fit_radial_cloud(PointArrays(points), bandwidth, np.zeros(3), method=method).coefficients
+    return fit_radial_cloud(PointArrays(points), bandwidth, np.zeros(3)).coefficients
 
 
 def _median_of_nearest(points: NDArray[np.float64], bandwidth: int) -> NDArray[np.float64]:
@@ -260,7 +257,6 @@ def _plain_least_squares(points: NDArray[np.float64], bandwidth: int) -> NDArray
 
 _METHODS: dict[str, Callable[[NDArray[np.float64], int], NDArray[np.float64]]] = {
     "median of 64": _median_of_nearest,
-    "ours, least_squares": partial(_fitted, method="least_squares"),
-    "ours, resample": partial(_fitted, method="resample"),
+    "ours": _fitted,
     "plain least squares": _plain_least_squares,
 }

@@ -1,4 +1,4 @@
-"""Values that travel: what grids, options, shapes and results have in common (private).
+"""Values that travel: what grids, options, shapes and results have in common.
 
 A value is a frozen dataclass. It pickles, also to processes that are spawned, and is as immutable there as it was here;
 values with equal fields are equal; what is printed of one fits on a line.

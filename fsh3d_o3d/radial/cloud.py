@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from math import isqrt
-from typing import Literal
 
 import numpy as np
 
@@ -14,13 +13,11 @@ from fsh3d_o3d.errors import CoverageError, GeometryError
 from fsh3d_o3d.geometry import PointArrays
 from fsh3d_o3d.radial.angular_cells import AngularCells, largest_empty_cap
 from fsh3d_o3d.radial.cloud_center import cloud_center
-from fsh3d_o3d.radial.resampled_fit import fit_resampled
 from fsh3d_o3d.radial.scattered_fit import fit_scattered
 from fsh3d_o3d.sphere import evaluate, fibonacci_grid
 
 __all__ = ["CloudFit", "cloud_center", "fit_radial_cloud"]
 
-CloudMethod = Literal["least_squares", "resample"]
 
 _FARTHEST = 1e3  # medians; radii beyond are outliers, however far, and are cut to it so that squares do not overflow
 _FIRST_LOOK = 50_000  # points, a degree apart on a sphere: far below the holes that are to be found
@@ -56,26 +53,22 @@ def fit_radial_cloud(
     bandwidth: int,
     center: object,
     *,
-    method: CloudMethod = "least_squares",
     smoothness: float | None = None,
     max_hole: float = 60.0,
     threads: int | None = None,
 ) -> CloudFit:
     """Fit the distance r(ω) from a centre to the surface that a cloud samples, as a function of degree < b.
 
-    ``"least_squares"`` fits the coefficients to all points at once, with Tukey's biweight against outliers and a
-    penalty λ Σ (l(l+1))^q c², which bends the function least where there are no points. It is the more accurate.
-    ``"resample"`` finds robust local means at the Fibonacci grid's 6b² points and transforms them with the analytic
-    weights. Both judge points against their neighbours as well, so that edges too sharp for the bandwidth are kept.
+    The coefficients are fitted to all points at once, with Tukey's biweight against outliers and a penalty
+    λ Σ (l(l+1))^q c², which bends the function least where there are no points. Points are judged against their
+    neighbours as well, so that edges too sharp for the bandwidth are kept.
 
     Args:
         cloud: Points; normals are not used.
         bandwidth: b; the points must lie in at least about 2b² directions.
         center: (3,) where radii start, inside the surface; see ``cloud_center``.
-        method: Which of the two.
         smoothness: λ of the bending energy (q = 2) in units of the squared samples' mean; 1e-8 … 1e-6 bridges holes. If
-            not given, λ and q are those under which the cloud is most likely, judged by the energy at each degree;
-            ``"resample"`` smooths the holes only.
+            not given, λ and q are those under which the cloud is most likely, judged by the energy at each degree.
         max_hole: Largest angular radius, in degrees, of a cap without points that is filled, in (0, 90].
         threads: Number of threads, or None for all that the process may use. Does not change the result.
 
@@ -89,7 +82,6 @@ def fit_radial_cloud(
         raise TypeError(f"cloud must be PointArrays, got {type(cloud).__name__}; see geometry_arrays")
     b = check.bandwidth(bandwidth)
     middle = check.point(center, "center")
-    check.choice(method, "method", ("least_squares", "resample"))
     if smoothness is not None:
         smoothness = check.number(smoothness, "smoothness", minimum=0.0)
     max_hole = check.number(max_hole, "max_hole", minimum=0.0, maximum=90.0, exclusive=True)
@@ -101,9 +93,7 @@ def fit_radial_cloud(
         _check_coverage(directions, max_hole, "points")
     _check_number(directions, b)
     check.memory(8.0 * 40 * len(radii) + 8.0 * 60 * 24 * b * b, f"the fit of {len(radii)} points at bandwidth {b}")
-    fit = (fit_scattered if method == "least_squares" else fit_resampled)(
-        directions, radii, b, smoothness=smoothness, threads=threads
-    )
+    fit = fit_scattered(directions, radii, b, smoothness=smoothness, threads=threads)
     kept = directions[fit.weights > 0]
     cap, direction = _check_coverage(kept, max_hole, "points but outliers")
     lowest = float(np.min(evaluate(fit.coefficients, fibonacci_grid(4 * b * b), threads=threads)))

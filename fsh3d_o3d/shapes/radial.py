@@ -79,7 +79,6 @@ class RadialShape(HarmonicShape):
         *,
         oversampling: float | None = None,
         behaviour: Behaviour = "error",
-        cloud_method: Literal["least_squares", "resample"] = "least_squares",
         smoothness: float | None = None,
         threads: int | None = None,
     ) -> RadialShape:
@@ -98,8 +97,6 @@ class RadialShape(HarmonicShape):
             oversampling: For meshes, directions in units of 4b²; 1.5 if not given.
             behaviour: For meshes, what to do with directions that meet the surface more than once or never:
                 ``"error"``, ``"outermost"`` or ``"innermost"``.
-            cloud_method: For clouds, ``"least_squares"`` (fits the coefficients to the points) or ``"resample"``
-                (robust local radii on the grid, then the transform).
             smoothness: For clouds, weight of the bending energy; chosen from the data if not given.
             threads: Number of threads, or None for all that the process may use. Does not change the result.
 
@@ -128,7 +125,7 @@ class RadialShape(HarmonicShape):
             middle = (
                 cloud_center(arrays) if center is None or isinstance(center, str) else check.point(center, "center")
             )
-            fit = fit_radial_cloud(arrays, b, middle, method=cloud_method, smoothness=smoothness, threads=threads)
+            fit = fit_radial_cloud(arrays, b, middle, smoothness=smoothness, threads=threads)
             return cls(fit.coefficients, middle, kind)
         size = grid_size(b, oversampling)
         check.memory(600.0 * size + 2000.0 * b * b, f"a radial function of bandwidth {b} on {size} directions")

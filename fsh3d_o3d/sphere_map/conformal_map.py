@@ -19,7 +19,7 @@ from fsh3d_o3d.sphere_map.balance import AREA_WEIGHT, balance, balance_level
 from fsh3d_o3d.sphere_map.diagnosis import closed_surface
 from fsh3d_o3d.sphere_map.embedding import Relax, embed
 from fsh3d_o3d.sphere_map.flow import harmonic_start, mean_curvature_flow, placed, pole_triangle
-from fsh3d_o3d.sphere_map.laplacian import LAPLACIANS, LaplacianKind, PinnedLaplacian, laplacian, lumped_mass
+from fsh3d_o3d.sphere_map.laplacian import PinnedLaplacian, laplacian, lumped_mass
 from fsh3d_o3d.sphere_map.mobius import aligned
 from fsh3d_o3d.sphere_map.relaxation import relax
 from fsh3d_o3d.sphere_map.spherical_map import MapMethod, SphericalMap
@@ -51,8 +51,6 @@ class ConformalMapOption:
     area_weight: float = AREA_WEIGHT
     """α ≥ 0 of the term α·log²(area ratio) that is weighed against conformal distortion. 0: the conformal map, which
     leaves limbs a vanishing share of the sphere. The default reconstructs best."""
-    laplacian: LaplacianKind = "cotangent"
-    """Discrete Laplacian of the flow: of the triangles as given, or of their intrinsic Delaunay triangulation."""
     max_iterations: int = 20
     """For the conformal map, most steps of the mean-curvature flow; 0 keeps its stereographic start."""
     balance_iterations: int | None = None
@@ -61,7 +59,6 @@ class ConformalMapOption:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "area_weight", check.number(self.area_weight, "area_weight", minimum=0))
-        check.choice(self.laplacian, "laplacian", LAPLACIANS)
         for name, largest in (("max_iterations", 1000), ("balance_iterations", 10000)):
             if getattr(self, name) is not None or name == "max_iterations":
                 object.__setattr__(self, name, check.integer(getattr(self, name), name, minimum=0, maximum=largest))
@@ -181,7 +178,7 @@ def _flowed(vertices: Float64Array, triangles: IntArray, option: ConformalMapOpt
     with np.errstate(all="ignore"):
         try:
             pole = pole_triangle(vertices, triangles)
-            matrix = PinnedLaplacian(laplacian(vertices, triangles, option.laplacian), pin=int(pole[0]))
+            matrix = PinnedLaplacian(laplacian(vertices, triangles), pin=int(pole[0]))
             start = harmonic_start(vertices, triangles, pole, matrix)
             flow = mean_curvature_flow(
                 vertices, triangles, start, matrix, steps=option.max_iterations, tolerance=_FLOW_TOLERANCE

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import SuperLU, splu
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.sphere_map.intrinsic_delaunay import intrinsic_delaunay
 from fsh3d_o3d.sphere_map.validity import cross, edge_vectors
-
-LaplacianKind = Literal["cotangent", "intrinsic_delaunay"]
-LAPLACIANS: tuple[LaplacianKind, ...] = ("cotangent", "intrinsic_delaunay")
-"""Cotangents of the triangles as given, or of the intrinsic Delaunay triangulation of the same vertices."""
 
 # Twice a triangle's area counts as at least this part of its longest edge squared, a choice. It keeps those without
 # area finite and the matrix well conditioned. Only the area is raised: the element matrix of a triangle is its area's
@@ -24,19 +17,14 @@ _ACCURACY = 1e-7  # of conjugate gradients, relative to the first residual; a ch
 _STEPS = 60  # of conjugate gradients at most, a choice
 
 
-def laplacian(vertices: Float64Array, triangles: IntArray, kind: LaplacianKind = "cotangent") -> csc_array:
+def laplacian(vertices: Float64Array, triangles: IntArray) -> csc_array:
     """Return the positive semidefinite cotangent matrix (n, n): −(cot α + cot β) / 2 at an edge, rows sum to 0.
 
-    Pinkall and Polthier, Computing Discrete Minimal Surfaces and Their Conjugates, 1993; for the intrinsic Delaunay
-    triangulation Bobenko and Springborn, A Discrete Laplace–Beltrami Operator for Simplicial Surfaces, 2007.
+    Pinkall and Polthier, Computing Discrete Minimal Surfaces and Their Conjugates, 1993.
     """
-    lengths = edge_lengths(vertices, triangles)
-    if kind == "intrinsic_delaunay":
-        triangles, lengths = intrinsic_delaunay(triangles, lengths)
-    cot = cotangents(lengths)
+    cot = cotangents(edge_lengths(vertices, triangles))
     weight = cot.ravel() / 2  # of the edge opposite each corner
     rows, columns = triangles[:, (1, 2, 0)].ravel(), triangles[:, (2, 0, 1)].ravel()
-    weight = np.where(rows == columns, 0.0, weight)  # an intrinsic edge may lead back to its vertex
     n = len(vertices)
     adjacency = csc_array((weight, (rows, columns)), shape=(n, n))
     adjacency = adjacency + adjacency.T

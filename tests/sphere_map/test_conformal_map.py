@@ -179,16 +179,6 @@ def test_collapsing_flows_warn_of_nothing():
     check_valid(conformal_map(MeshArrays(mesh.vertices * spikes[:, None], mesh.triangles), CONFORMAL))
 
 
-def test_intrinsic_delaunay_stands_by():
-    mesh = with_slivers(shapes.ellipsoid((1, 2, 3), 8))
-    given = conformal_map(mesh, CONFORMAL)
-    intrinsic = conformal_map(mesh, ConformalMapOption(area_weight=0, laplacian="intrinsic_delaunay"))
-    check_valid(intrinsic)
-    # Both approach the one conformal map.
-    np.testing.assert_allclose(intrinsic.positions, given.positions, atol=0.1)
-    assert (intrinsic.positions != given.positions).any()
-
-
 @pytest.mark.parametrize("kind", ["legacy", "tensor"])
 def test_open3d_meshes(kind):
     mesh = shapes.bumpy(4)
@@ -210,7 +200,6 @@ def test_point_clouds_have_no_surface():
     [
         ("area_weight", -1, ValueError),
         ("area_weight", np.nan, ValueError),
-        ("laplacian", "umbrella", ValueError),
         ("max_iterations", -1, ValueError),
         ("max_iterations", 2.5, TypeError),
         ("balance_iterations", -1, ValueError),
