@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._imports import import_installed
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.arrays import GeometryKind, MeshArrays, chosen_kind, geometry_arrays, open3d_mesh
 from fsh3d_o3d.geometry.measures import MeshMeasures, measure_mesh, oriented, weld
@@ -17,7 +17,7 @@ from fsh3d_o3d.geometry.rays import UnitCube
 __all__ = ["Repair", "repair_mesh"]
 
 
-@dataclass(frozen=True, eq=False)
+@value
 class Repair:
     """A repaired mesh, and what it was before and after."""
 

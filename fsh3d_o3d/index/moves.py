@@ -8,6 +8,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files import file_content, is_uri, list_objects
 from fsh3d_o3d.index.extraction import FileState, has_buffers
@@ -30,7 +31,7 @@ class ModelRows:
     """Content, and how it is read."""
 
 
-@dataclass(frozen=True)
+@value
 class LibraryMove:
     """A library that lies elsewhere now."""
 

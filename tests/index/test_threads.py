@@ -14,7 +14,7 @@ import pytest
 from fsh3d_o3d.index import search
 from fsh3d_o3d.index import store as _index_store
 from fsh3d_o3d.index.shape_index import Hit, ShapeIndex, ShapeIndexError
-from tests.index.index_cases import QUICK, blob, write_library
+from tests.index.index_cases import NOT_AT_ALL, QUICK, blob, write_library
 
 SPAWN = multiprocessing.get_context("spawn")
 THREADS = 6
@@ -29,7 +29,7 @@ def rewrite(index: str, paths: list[str], begin, rounds: int) -> None:
     """Write, delete, put together and remove old versions, over and over."""
     _index_store._SMALL_FRAGMENTS = 2
     _index_store._SPACE_ALWAYS_LEFT = 0
-    _index_store._KEPT_SECONDS = 0.001
+    _index_store._KEPT_SECONDS = NOT_AT_ALL
     found = ShapeIndex.open(index, option=QUICK)
     store = found._store
     begin.wait()
@@ -103,7 +103,7 @@ def superseded(index: ShapeIndex, times: int, monkeypatch) -> Callable[[], int]:
             for path in store.columns(store.models, ["path"])["path"].to_pylist()[:2]:
                 rows = store.where("path", [path], store.models.schema.names)
                 store.put(store.models, {name: rows[name] for name in rows.column_names})
-            monkeypatch.setattr(_index_store, "_KEPT_SECONDS", 0.001)
+            monkeypatch.setattr(_index_store, "_KEPT_SECONDS", NOT_AT_ALL)
             monkeypatch.setattr(_index_store, "_SMALL_FRAGMENTS", 0)
             assert store.tidy()
         return found
@@ -120,6 +120,9 @@ def filled(tmp_path: Path) -> tuple[ShapeIndex, list[str]]:
     return index, paths
 
 
+@pytest.mark.filterwarnings(
+    "ignore:optimize.cleanup_older_than=0:UserWarning"
+)  # a version that is read is what is wanted
 def test_a_version_that_is_removed_while_it_is_read_is_replaced_by_a_newer_one(tmp_path, monkeypatch):
     index, paths = filled(tmp_path)
     removed = superseded(index, 2, monkeypatch)
@@ -127,6 +130,9 @@ def test_a_version_that_is_removed_while_it_is_read_is_replaced_by_a_newer_one(t
     assert removed() == 2
 
 
+@pytest.mark.filterwarnings(
+    "ignore:optimize.cleanup_older_than=0:UserWarning"
+)  # a version that is read is what is wanted
 def test_a_version_that_is_removed_before_it_is_opened_is_replaced_by_a_newer_one(tmp_path, monkeypatch):
     index, paths = filled(tmp_path)
     other = ShapeIndex.open(index.path, option=QUICK)
@@ -139,7 +145,7 @@ def test_a_version_that_is_removed_before_it_is_opened_is_replaced_by_a_newer_on
         if len(asked) == 2:  # the first is to compare with, the second is opened
             rows = other._store.where("path", [os.fsencode(paths[0])], other._store.models.schema.names)
             other._store.put(other._store.models, {name: rows[name] for name in rows.column_names})
-            monkeypatch.setattr(_index_store, "_KEPT_SECONDS", 0.001)
+            monkeypatch.setattr(_index_store, "_KEPT_SECONDS", NOT_AT_ALL)
             monkeypatch.setattr(_index_store, "_SMALL_FRAGMENTS", 0)
             assert other._store.tidy()
         return number
@@ -149,6 +155,9 @@ def test_a_version_that_is_removed_before_it_is_opened_is_replaced_by_a_newer_on
     assert asked[2] > asked[1] == asked[0]
 
 
+@pytest.mark.filterwarnings(
+    "ignore:optimize.cleanup_older_than=0:UserWarning"
+)  # a version that is read is what is wanted
 def test_an_index_that_never_rests_is_an_error_in_the_end(tmp_path, monkeypatch):
     index, _ = filled(tmp_path)
     removed = superseded(index, 100, monkeypatch)

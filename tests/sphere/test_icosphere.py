@@ -41,9 +41,16 @@ def test_corners_are_the_icosahedron() -> None:
     assert directions[0].tolist() == [0, 0, 1]
 
 
-def test_read_only_and_checked() -> None:
-    for array in fsh.icosphere(2):
-        with pytest.raises(ValueError, match=r"read-only"):
-            array[0] = 0
+def test_each_call_gives_arrays_of_its_own() -> None:
+    """They are cached, and may be written into: Open3D takes no other."""
+    for array, again in zip(fsh.icosphere(2), fsh.icosphere(2), strict=True):
+        array[0] = 7
+        assert not np.shares_memory(array, again)
+    for array, again in zip(fsh.icosphere(2), fsh.icosphere(2), strict=True):
+        np.testing.assert_array_equal(array, again)
+        assert (array[0] != 7).any()
+
+
+def test_the_frequency_is_checked() -> None:
     with pytest.raises(ValueError, match=r"frequency must be between 1 and 2000, got 0"):
         fsh.icosphere(0)
