@@ -148,9 +148,8 @@ class IndexStore:
         """
         return self.reading(lambda version: version, table)
 
-    def _opened(self, table: str) -> TableVersion:
+    def _opened(self, table: str, number: int) -> TableVersion:
         with self._reading:
-            number = self._newest(table)
             held = self._held.get(table)
             if held is None or held.number != number:
                 self._files.require(table, number)
@@ -169,12 +168,12 @@ class IndexStore:
             ShapeIndexError: The index is damaged, or was rewritten again and again while it was read.
         """
         for attempt in range(_READ_ATTEMPTS):
-            before = self._number(table)
+            number = self._number(table)
             try:
                 # Opening it is part of the trial: others may remove a version as soon as there is a newer one.
-                return work(self._opened(table))
+                return work(self._opened(table, number))
             except ShapeIndexError:
-                if attempt == _READ_ATTEMPTS - 1 or self._number(table) == before:
+                if attempt == _READ_ATTEMPTS - 1 or self._number(table) == number:
                     raise
         raise AssertionError  # not reached
 

@@ -142,7 +142,7 @@ def test_a_version_that_is_removed_before_it_is_opened_is_replaced_by_a_newer_on
     def newest_then_gone(table: str) -> int:
         number = newest(table)
         asked.append(number)
-        if len(asked) == 2:  # the first is to compare with, the second is opened
+        if len(asked) == 1:  # the version that is opened next
             rows = other._store.where("path", [os.fsencode(paths[0])], other._store.models.schema.names)
             other._store.put(other._store.models, {name: rows[name] for name in rows.column_names})
             monkeypatch.setattr(_index_store, "_KEPT_SECONDS", NOT_AT_ALL)
@@ -152,7 +152,7 @@ def test_a_version_that_is_removed_before_it_is_opened_is_replaced_by_a_newer_on
 
     monkeypatch.setattr(store, "_newest", newest_then_gone)
     assert index.query(blob(1), top=1)[0].path == paths[1]
-    assert asked[2] > asked[1] == asked[0]
+    assert asked[1] > asked[0]
 
 
 @pytest.mark.filterwarnings(

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 _HEADER = 0xE1  # first byte, as the extension specifies
 _TAIL = 16  # bytes: pairs of references that triangles often begin with
 _WRAP = 0xFFFFFFFF  # indices are counted modulo 2³²
-_Fifo = list[int]
 
 
 def decode_triangles(data: bytes, count: int) -> NDArray[np.uint32]:
