@@ -14,8 +14,8 @@ from fsh3d_o3d._atomic import atomic_write_bytes, sync_file, sync_folder
 from fsh3d_o3d.files.writing import write_geometry
 from fsh3d_o3d.geometry.arrays import MeshArrays
 from fsh3d_o3d.sphere import weight_cache
-from fsh3d_o3d.sphere.analytic_weights import analytic_weights
 from fsh3d_o3d.sphere.icosahedron import icosphere
+from fsh3d_o3d.sphere.weight_solver import analytic_weights
 
 
 @pytest.fixture

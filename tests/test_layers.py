@@ -138,6 +138,14 @@ def test_a_door_says_what_its_folder_is_and_offers_what_exists(door: tuple[str, 
     assert [name for name in module.__all__ if not hasattr(module, name) or name.startswith("_")] == []
 
 
+@pytest.mark.parametrize("stub", sorted(PACKAGE.rglob("__init__.pyi")), ids=lambda stub: stub.parent.name)
+def test_a_lazy_door_and_its_folder_share_no_name(stub: Path) -> None:
+    """Importing a file puts it into its folder's door, over a function of the same name that waits to be asked for."""
+    files = {path.stem for path in stub.parent.glob("*.py")}
+    module = importlib.import_module(".".join(("fsh3d_o3d", *stub.parent.relative_to(PACKAGE).parts)))
+    assert files & set(module.__all__) == set()
+
+
 @pytest.mark.parametrize("module", ["fsh3d_o3d.geometry"])
 def test_a_lazy_door_loads_only_what_is_asked_for(module: str) -> None:
     code = f"import sys; from {module} import MeshArrays; print([n for n in sys.modules if n.startswith('scipy')])"

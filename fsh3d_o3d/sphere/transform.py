@@ -11,12 +11,12 @@ import numpy as np
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, FloatArray
 from fsh3d_o3d._value import value
-from fsh3d_o3d.sphere.analytic_weights import solve_weights, warn_if_inexact
 from fsh3d_o3d.sphere.engines import EngineName, EnginePair
 from fsh3d_o3d.sphere.grids import SphericalGrid, fibonacci_grid, grid_from_directions, grid_size, require_grid
 from fsh3d_o3d.sphere.least_squares import solve_least_squares
 from fsh3d_o3d.sphere.nufft_engine import synthesise_gradient
 from fsh3d_o3d.sphere.weight_solution import WeightSolution
+from fsh3d_o3d.sphere.weight_solver import solve_weights, warn_if_inexact
 
 __all__ = ["SphericalHarmonicTransform", "evaluate", "evaluate_gradient"]
 

@@ -14,7 +14,7 @@ import pytest
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d.errors import QuadratureWarning
-from fsh3d_o3d.sphere import weight_cache
+from fsh3d_o3d.sphere import weight_cache, weight_solver
 
 GRID = fsh.fibonacci_grid(24)
 
@@ -47,8 +47,7 @@ def no_solving(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise AssertionError("solved although cached")
 
-    # By its full name: the function of the same name hides the module in the package.
-    monkeypatch.setattr(sys.modules["fsh3d_o3d.sphere.analytic_weights"], "_solve", fail)
+    monkeypatch.setattr(weight_solver, "_solve", fail)
 
 
 def test_hits_from_memory_and_disk(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from fsh3d_o3d.sphere.coefficients import degree_energies
 from fsh3d_o3d.sphere.harmonics import degrees_and_orders
-from fsh3d_o3d.sphere.rotation.aligned_distance import aligned_distance
+from fsh3d_o3d.sphere.rotation.alignment_distance import aligned_distance
 from fsh3d_o3d.sphere.rotation.rotation import rotate_coefficients
 
 ROTATIONS = Rotation.random(6, random_state=3).as_matrix()

@@ -1,0 +1,15 @@
+from .alignment_distance import aligned_distance as aligned_distance
+from .canonical import CanonicalPose as CanonicalPose
+from .canonical import canonical_pose as canonical_pose
+from .correlation import exponential as exponential
+from .rotation import parity as parity
+from .rotation import reflect_coefficients as reflect_coefficients
+from .rotation import rotate_coefficients as rotate_coefficients
+from .rotation_matrices import rotate_each as rotate_each
+from .rotation_search import RotationEstimate as RotationEstimate
+from .rotation_search import estimate_rotation as estimate_rotation
+from .rotation_search import estimate_rotations as estimate_rotations
+from .symmetry import SymmetryAxis as SymmetryAxis
+from .symmetry import SymmetryPlane as SymmetryPlane
+from .symmetry import SymmetryReport as SymmetryReport
+from .symmetry import find_symmetries as find_symmetries
