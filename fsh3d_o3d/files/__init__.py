@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.files.child_process import ChildProcess, end_after, fill_standard_descriptors
+from fsh3d_o3d.files.formats import format_of, is_readable
 from fsh3d_o3d.files.object_storage import (
     absolute,
     folder_names,
@@ -30,6 +31,8 @@ __all__ = [
     "file_content",
     "fill_standard_descriptors",
     "folder_names",
+    "format_of",
+    "is_readable",
     "is_uri",
     "lance_options",
     "list_objects",

@@ -1,8 +1,7 @@
-"""From a file to arrays, in Python and NumPy: the table of formats, and the door to it.
+"""From a file to arrays: what is packed is unpacked, the extension tells the parser, and what goes wrong is one line.
 
-No native reader sees the file, but for Draco streams in glTF. The parsers are this package's own because the readers
-at hand are too lenient for untrusted files (a truncated file becomes part of a mesh) or slow to start; trimesh is the
-second opinion in the tests.
+Most parsers are this package's own because the readers at hand are too lenient for untrusted files (a truncated file
+becomes part of a mesh) or slow to start; they are second opinions in the tests.
 """
 
 from __future__ import annotations
@@ -19,16 +18,18 @@ from fsh3d_o3d._printable import printable
 from fsh3d_o3d._regular_file import open_regular
 from fsh3d_o3d.errors import GeometryError, GeometryReadError
 from fsh3d_o3d.files.formats import (
+    NOT_TEXT,
     PARSERS,
-    Parser,
     ReadFile,
     Source,
     binary_stl_size,
     check_not_a_pointer,
+    format_of,
     has_binary_header,
-    parse_glb,
+    is_readable,
     parse_stl,
     plain_text,
+    unpacked,
 )
 from fsh3d_o3d.files.object_storage import is_uri, object_content
 
@@ -60,6 +61,8 @@ _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("JSON", re.compile(rb'\s*(\{\s*["}]|\[\s*[\[{"\d-])')),
     ("OBJ", re.compile(rb"(?s:.){0,3000}?(^|[\r\n])(v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]|mtllib )")),
 )
+_WRITTEN_AS = {"GLTF": "JSON"}
+"""Formats whose files are of another, more general one as well."""
 
 
 def read_file(path: str) -> ReadFile:
@@ -69,7 +72,7 @@ def read_file(path: str) -> ReadFile:
         FileNotFoundError: There is no such file.
         GeometryReadError: Everything else, in one line with the file's name.
     """
-    parser_for(path)
+    require_readable(path)
     try:
         data = file_content(path)
     except FileNotFoundError:
@@ -89,9 +92,13 @@ def file_content(path: str) -> bytes:
         GeometryReadError: It is not a regular file, or holds nothing.
     """
     data = object_content(path) if is_uri(path) else _regular_content(path)
+    _check_not_blank(data)
+    return data
+
+
+def _check_not_blank(data: bytes) -> None:
     if not data.strip(b"\0 \t\r\n"):
         raise GeometryReadError("the file is empty" if not data else "the file holds nothing but blanks")
-    return data
 
 
 def parse_content(path: str, data: bytes) -> ReadFile:
@@ -100,31 +107,40 @@ def parse_content(path: str, data: bytes) -> ReadFile:
     Raises:
         GeometryReadError: They cannot be, in one line with the file's name.
     """
-    parser = parser_for(path)
-    source = Source(data, functools.partial(_content_beside, path))
+    require_readable(path)
+    name, source = path, Source(data, functools.partial(_content_beside, path))
     try:
         check_not_a_pointer(data)
+        name, source.data, source.content_beside = unpacked(path, data, source.content_beside)
+        if source.data is not data:
+            _check_not_blank(source.data)
+        parser = PARSERS[format_of(name)]
         # The header of a binary STL may begin with anything, also with the bytes of a byte-order mark.
-        if parser is not parse_glb and not (parser is parse_stl and has_binary_header(data)):
+        if format_of(name) not in NOT_TEXT and not (parser is parse_stl and has_binary_header(source.data)):
             source.data = plain_text(source)
         with np.errstate(all="ignore"):  # what is not finite is an error, not a warning
             geometry = parser(source)
     except MemoryError:
         raise read_error(path, _TOO_LITTLE_MEMORY) from None
     except GeometryError as error:
-        raise read_error(path, _with_sniffed(path, source.data, str(error))) from None
+        raise read_error(path, _with_sniffed(name, source.data, str(error))) from None
     except Exception as error:  # what no parser foresaw in a file is the file's fault for the caller all the same
         raise read_error(path, f"cannot be parsed ({type(error).__name__}: {error})") from error
-    return ReadFile(geometry, tuple(source.notes), tuple(source.used.values()))
+    return ReadFile(geometry, tuple(source.notes), tuple(source.used.values()), tuple(source.parts))
 
 
-def parser_for(path: str) -> Parser:
-    """Return the parser that the extension names, whatever its case."""
-    suffix = Path(path).suffix.lower()
-    if suffix not in PARSERS:
+def require_readable(path: str) -> None:
+    """Refuse a file whose extension, in whatever case, names no format that is read.
+
+    Raises:
+        GeometryReadError: It names none.
+    """
+    if not is_readable(path):
+        suffix = Path(path).suffix.lower()
         named = f"{suffix!r} is not a format that is read" if suffix else "the name has no extension"
-        raise read_error(path, f"{named}; readable are {' '.join(PARSERS)}")
-    return PARSERS[suffix]
+        if suffix == ".gz":
+            named = "what is packed is not of a format that is read"
+        raise read_error(path, f"{named}; readable are {' '.join(PARSERS)}, also packed as .gz or .zip")
 
 
 def read_error(path: str, reason: str) -> GeometryReadError:
@@ -155,6 +171,6 @@ def _with_sniffed(path: str, data: bytes, reason: str) -> str:
     found = next((name for name, signature in _SIGNATURES if signature.match(data[:_SNIFFED_BYTES])), None)
     if found is None and len(data) == binary_stl_size(data):
         found = "STL"
-    if found is None or found == own or (found, own) == ("JSON", "GLTF"):
+    if found is None or found == own or found == _WRITTEN_AS.get(own):
         return reason
     return f"the content looks like {found}, not {own} ({reason})"

@@ -28,7 +28,7 @@ from fsh3d_o3d._imports import installed_path
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files.child_process import ChildProcess, end_after
-from fsh3d_o3d.files.formats import ReadFile
+from fsh3d_o3d.files.formats import Part, ReadFile
 from fsh3d_o3d.files.parsing import read_error
 from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
@@ -195,8 +195,11 @@ def _read_file(path: str, answer: dict[str, Any]) -> ReadFile:
         geometry: MeshArrays | PointArrays = kind(
             **{name: answer["arrays"][name]["data"] for name in _FIELDS[kind] if name in answer["arrays"]}
         )
-        return ReadFile(geometry, tuple(str(note) for note in answer.get("notes", [])))
-    except (GeometryError, LookupError, TypeError, AttributeError) as error:
+        parts = tuple(
+            Part(str(name), int(points), int(triangles)) for name, points, triangles in answer.get("parts", [])
+        )
+        return ReadFile(geometry, tuple(str(note) for note in answer.get("notes", [])), parts=parts)
+    except (GeometryError, LookupError, TypeError, AttributeError, ValueError) as error:
         raise read_error(path, str(error)) from None
 
 
@@ -240,7 +243,13 @@ def _answer(read: Callable[[str], ReadFile], path: str) -> tuple[dict[str, Any],
     arrays = {name: getattr(geometry, name) for name in _FIELDS[type(geometry)]}
     given = {name: array for name, array in arrays.items() if array is not None}
     described = {name: {"dtype": array.dtype.str[1:], "shape": array.shape} for name, array in given.items()}
-    return {"kind": type(geometry).__name__, "arrays": described, "notes": found.notes}, list(given.values())
+    header = {
+        "kind": type(geometry).__name__,
+        "arrays": described,
+        "notes": found.notes,
+        "parts": [(part.name, part.points, part.triangles) for part in found.parts],
+    }
+    return header, list(given.values())
 
 
 def _address_space() -> int:

@@ -17,7 +17,7 @@ from fsh3d_o3d._printable import printable
 from fsh3d_o3d.errors import GeometryReadWarning
 from fsh3d_o3d.files.formats import PARSERS, ReadFile
 from fsh3d_o3d.files.object_storage import absolute
-from fsh3d_o3d.files.parsing import parser_for, read_file
+from fsh3d_o3d.files.parsing import read_file, require_readable
 from fsh3d_o3d.files.reader_process import ReaderProcess
 from fsh3d_o3d.geometry import GEOMETRY_KINDS, GeometryKind, MeshArrays, PointArrays, open3d_mesh, open3d_point_cloud
 
@@ -76,7 +76,7 @@ def read_geometry_file(
     name = absolute(path)
     timeout = check.seconds(timeout, "timeout")
     memory_limit = check.memory_limit(memory_limit, "memory_limit")
-    parser_for(name)
+    require_readable(name)
     if not isolated:
         return read_file(name)
     return _reader.read(name, timeout=timeout, memory_limit=memory_limit)

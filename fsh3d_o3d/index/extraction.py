@@ -16,7 +16,7 @@ from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d._value import value
 from fsh3d_o3d.descriptors import ShapeSignature, SHDOption, compute_signature
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.files import file_content, is_uri, list_objects, object_states, parse_content
+from fsh3d_o3d.files import file_content, format_of, is_uri, list_objects, object_states, parse_content
 from fsh3d_o3d.geometry import EdgeTable, MeshArrays, PointArrays, weld
 from fsh3d_o3d.index.codec import ALIGNED_DEGREES
 
@@ -188,7 +188,7 @@ def describe(geometry: Geometry, option: SHDOption) -> ShapeSignature:
 
 def identity(path: str, content: bytes) -> bytes:
     """Return what two files have in common that hold the same geometry: content, and how it is read."""
-    return content + os.fsencode(os.path.splitext(path)[1].lower())  # noqa: PTH122 - keeps bytes that are not UTF-8
+    return content + os.fsencode(format_of(path))
 
 
 def frame_numbers(signature: ShapeSignature) -> Float64Array:

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from fsh3d_o3d._printable import printable
-from fsh3d_o3d.files import READABLE_FORMATS, absolute, is_uri, list_objects, object_states, require_bucket
+from fsh3d_o3d.files import absolute, format_of, is_readable, is_uri, list_objects, object_states, require_bucket
 from fsh3d_o3d.jobs import FailedInput
 
 ABSENT = (errno.ENOENT, errno.ENOTDIR)
@@ -65,7 +65,7 @@ def scan_library(folder: str | os.PathLike[str], *, leave_out: str | os.PathLike
         found.links += sum(os.path.islink(os.path.join(parent, name)) for name in folders)  # noqa: PTH114, PTH118
         for name in sorted(names):
             path = os.path.join(parent, name)  # noqa: PTH118 - keeps bytes that are not UTF-8
-            if not _readable(name):
+            if not is_readable(name):
                 found.other_formats.update(_other_format(path[len(root) :]))
             elif os.path.islink(path):  # noqa: PTH114 - same
                 found.links += 1
@@ -84,7 +84,7 @@ def library_files(folder: str | os.PathLike[str], *, leave_out: str | os.PathLik
 
 def is_folder(path: str) -> bool:
     """Return whether ``library_files`` can be asked for a path; in storage, where there are no folders, by its name."""
-    return not _readable(path) if is_uri(path) else os.path.isdir(path)  # noqa: PTH112 - keeps any bytes
+    return not is_readable(path) if is_uri(path) else os.path.isdir(path)  # noqa: PTH112 - keeps any bytes
 
 
 def require_place(folder: str) -> None:
@@ -131,24 +131,16 @@ def _stored(root: str, excluded: str | None) -> LibraryScan:
     for uri in listed:
         if excluded is not None and uri.startswith(f"{excluded}/"):
             continue
-        if _readable(uri):
+        if is_readable(uri):
             found.files.append(uri)
         else:
             found.other_formats.update(_other_format(uri[len(root) :]))
     return found
 
 
-def _readable(name: str) -> bool:
-    return _extension(name) in READABLE_FORMATS
-
-
 def _other_format(below: str) -> list[str]:
     """The extension by which a file is counted, unless it or a folder on the way to it is hidden."""
     if any(part.startswith(".") for part in below.split("/")):
         return []
-    extension = _extension(below)
+    extension = format_of(below)
     return [extension if len(extension) <= _LONGEST_EXTENSION else ""]
-
-
-def _extension(name: str) -> str:
-    return os.path.splitext(name)[1].lower()  # noqa: PTH122 - keeps bytes that are not UTF-8

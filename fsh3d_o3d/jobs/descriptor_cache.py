@@ -25,6 +25,7 @@ from fsh3d_o3d._cache_folder import cache_folder
 from fsh3d_o3d._regular_file import open_regular
 from fsh3d_o3d._value import value
 from fsh3d_o3d._version import __version__
+from fsh3d_o3d.files import format_of
 
 __all__ = ["clear_descriptor_cache", "descriptor_cache_path"]
 
@@ -80,7 +81,7 @@ def descriptor_key(path: str | os.PathLike[str], fingerprint: str) -> bytes | No
                 digest.update(chunk)
     except OSError:
         return None
-    return key_of(digest.digest(), os.fsencode(Path(path).suffix.lower()), fingerprint.encode())
+    return key_of(digest.digest(), os.fsencode(format_of(os.fsdecode(path))), fingerprint.encode())
 
 
 def key_of(*parts: bytes) -> bytes:

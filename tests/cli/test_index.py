@@ -166,13 +166,13 @@ class Denying:
 
 def test_files_of_other_formats_are_named(tmp_path, capsys):
     write_library(tmp_path / "library", [0])
-    for name in ("a.3mf", "b.STEP", "c.off.gz", "d.step", ".DS_Store"):
+    for name in ("a.blend", "b.DWG", "c.log.gz", "d.dwg", ".DS_Store"):
         (tmp_path / "library" / name).touch()
     common = ("index", tmp_path / "library", tmp_path / "index", "--no-thumbnails", "--workers", "1", "--quiet")
     assert run(*common) == 0
-    assert capsys.readouterr().out.splitlines()[1:] == ["4 files of other formats: .step 2, .3mf 1, .gz 1"]
+    assert capsys.readouterr().out.splitlines()[1:] == ["4 files of other formats: .dwg 2, .blend 1, .gz 1"]
     assert run(*common, "--json") == 0
-    assert json.loads(capsys.readouterr().out)["other_formats"] == {".step": 2, ".3mf": 1, ".gz": 1}
+    assert json.loads(capsys.readouterr().out)["other_formats"] == {".dwg": 2, ".blend": 1, ".gz": 1}
     for number in range(12):
         (tmp_path / "library" / f"x.e{number}").touch()
     assert run(*common) == 0
@@ -182,7 +182,7 @@ def test_files_of_other_formats_are_named(tmp_path, capsys):
 @pytest.mark.parametrize("command", ["index", "query"])
 def test_a_folder_where_nothing_can_be_read_is_no_success(indexed, tmp_path, capsys, command):
     (tmp_path / "library").mkdir()
-    (tmp_path / "library" / "a.3mf").touch()
+    (tmp_path / "library" / "a.blend").touch()
     (tmp_path / "library" / "link").symlink_to(indexed)
     folders = (
         [tmp_path / "library", tmp_path / "new"] if command == "index" else [indexed / "index", tmp_path / "library"]
@@ -192,7 +192,7 @@ def test_a_folder_where_nothing_can_be_read_is_no_success(indexed, tmp_path, cap
     assert out == ""
     assert err == (
         f"fsh3d: error: {tmp_path / 'library'}: no meshes or point clouds in this folder "
-        "(1 file of other formats: .3mf 1; 1 symbolic link, not followed)\n"
+        "(1 file of other formats: .blend 1; 1 symbolic link, not followed)\n"
     )
     assert not (tmp_path / "new").exists()
 

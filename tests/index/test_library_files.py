@@ -62,9 +62,9 @@ def test_what_is_not_read_is_counted(tmp_path):
     for place in (folder, folder / ".git"):
         place.mkdir()
         for name in (
-            b"a.STEP",
-            b"b.step",
-            b"c.off.gz",
+            b"a.DWG",
+            b"b.dwg",
+            b"c.log.gz",
             b"LICENSE",
             b".hidden.txt",
             b"x.a name with a full stop",
@@ -76,7 +76,7 @@ def test_what_is_not_read_is_counted(tmp_path):
     (folder / "folder").symlink_to(tmp_path)
     scan = scan_library(tmp_path)
     assert [Path(path).name for path in scan.files] == ["d.off", "d.off"]
-    assert scan.other_formats == {".step": 2, ".gz": 1, "": 2, ".txt": 1}
+    assert scan.other_formats == {".dwg": 2, ".gz": 1, "": 2, ".txt": 1}
     assert scan.links == 2
     assert scan.not_listed == []
 

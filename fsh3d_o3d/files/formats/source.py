@@ -18,6 +18,18 @@ def _nothing_beside(name: str) -> bytes:
     raise GeometryReadError(f"it needs the file '{name}' beside it, and was given alone")
 
 
+@dataclass(frozen=True)
+class Part:
+    """A stretch of a file's geometry that the file tells apart from the rest: a component, a scan, a label."""
+
+    name: str
+    """What the file calls it, or what tells it apart."""
+    points: int
+    """How many vertices or points it has; those of the parts stand one after another."""
+    triangles: int
+    """How many triangles; 0 in a cloud."""
+
+
 @dataclass(eq=False)
 class Source:
     """A file while it is parsed."""
@@ -30,6 +42,8 @@ class Source:
     """What was read in spite of something, one sentence without a full stop each."""
     used: dict[str, bytes] = field(default_factory=dict)
     """Content of the other files that were needed, by name."""
+    parts: list[Part] = field(default_factory=list)
+    """What the geometry consists of, where the file tells; all of it, in order."""
 
     def note(self, sentence: str) -> None:
         """Keep a sentence for the reader of the file; each is kept once."""
@@ -60,6 +74,8 @@ class ReadFile:
     used: tuple[bytes, ...] = ()
     """Content of the other files that were needed, in the order in which they were asked for; a reader process keeps
     them to itself."""
+    parts: tuple[Part, ...] = ()
+    """What the geometry consists of, where the file tells; all of it, in order."""
 
 
 def counted(number: int, noun: str, plural: str | None = None) -> str:

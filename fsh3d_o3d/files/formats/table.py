@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
+from typing import cast
 
 from fsh3d_o3d.files.formats.gltf import parse_glb, parse_gltf
 from fsh3d_o3d.files.formats.obj import parse_obj
@@ -15,6 +17,17 @@ from fsh3d_o3d.files.formats.stl import parse_stl
 from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 Parser = Callable[[Source], MeshArrays | PointArrays]
+
+
+def _when_met(module: str, function: str) -> Parser:
+    """Return a parser that is loaded when the first file of its format is met: a process starts without it."""
+
+    def parse(source: Source) -> MeshArrays | PointArrays:
+        found = getattr(importlib.import_module(f"{__package__}.{module}"), function)
+        return cast(Parser, found)(source)
+
+    return parse
+
 
 PARSERS: dict[str, Parser] = {
     ".off": parse_off,
@@ -30,3 +43,6 @@ PARSERS: dict[str, Parser] = {
     ".pcd": parse_pcd,
 }
 """A file's extension, and what turns its content into arrays or raises ``GeometryError`` with the reason."""
+
+NOT_TEXT: frozenset[str] = frozenset({".glb"})
+"""Formats whose first bytes are never a mark of Unicode."""
