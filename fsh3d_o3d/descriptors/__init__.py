@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fsh3d_o3d.descriptors.library import CPSHDDescriptor, SHDDescriptor, on_equiangular_grid
+from fsh3d_o3d.descriptors.local_shd import LocalHarmonics, local_harmonics
 from fsh3d_o3d.descriptors.shd import (
     CPSHDOption,
     ShapeSignature,
@@ -19,6 +20,7 @@ __all__ = [
     "compute_cpshd_feature",
     "CPSHDDescriptor",
     "CPSHDOption",
+    "LocalHarmonics",
     "SHDDescriptor",
     "SHDOption",
     "ShapeSignature",
@@ -27,6 +29,7 @@ __all__ = [
     "compute_signature",
     "descriptor_distances",
     "fits_only_mirrored",
+    "local_harmonics",
     "mixed_distances",
     "on_equiangular_grid",
     "shd_descriptor",

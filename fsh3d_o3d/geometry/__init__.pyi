@@ -45,3 +45,5 @@ from .triangles import triangle_areas as triangle_areas
 from .triangles import triangle_normals as triangle_normals
 from .triangulation import fibonacci_triangulation as fibonacci_triangulation
 from .triangulation import sphere_mesh as sphere_mesh
+from .voxels import voxel_cells as voxel_cells
+from .voxels import voxel_means as voxel_means

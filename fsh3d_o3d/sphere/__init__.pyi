@@ -25,6 +25,7 @@ from .invariants import gram_powers as gram_powers
 from .least_squares import LeastSquaresFit as LeastSquaresFit
 from .least_squares import fit_coefficients as fit_coefficients
 from .nufft_engine import NufftEngine as NufftEngine
+from .polynomials import polynomial_harmonics as polynomial_harmonics
 from .rotation import CanonicalPose as CanonicalPose
 from .rotation import RotationEstimate as RotationEstimate
 from .rotation import SymmetryAxis as SymmetryAxis
