@@ -18,6 +18,8 @@ from .measures import oriented as oriented
 from .measures import proper as proper
 from .measures import weld as weld
 from .measures import weld_map as weld_map
+from .nearest_point import Progress as Progress
+from .nearest_point import nearest_distances as nearest_distances
 from .rays import UnitCube as UnitCube
 from .rays import UnitScene as UnitScene
 from .rays import ray_casting_scene as ray_casting_scene

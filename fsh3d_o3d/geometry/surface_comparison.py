@@ -7,13 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from fsh3d_o3d._validation import Float64Array, integer
 from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, geometry_arrays
 from fsh3d_o3d.geometry.measures import area_samples, enclosed_volume, weld
+from fsh3d_o3d.geometry.nearest_point import nearest_distances
 from fsh3d_o3d.geometry.rays import UnitCube, UnitScene
 from fsh3d_o3d.geometry.triangles import point_triangle_distance
 
@@ -137,7 +137,7 @@ def _one_side(
 
 def _distances(points: Float64Array, target: MeshArrays | PointArrays, cube: UnitCube) -> Float64Array:
     if isinstance(target, PointArrays):
-        return np.asarray(KDTree(cube.to_unit(target.points)).query(points)[0])
+        return nearest_distances(points, cube.to_unit(target.points))
     try:
         target = weld(target)
     except GeometryError:

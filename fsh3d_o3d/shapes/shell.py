@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, FloatArray
@@ -98,6 +100,7 @@ class ShellShape(HarmonicShape):
         width: float | None = None,
         oversampling: float | None = None,
         threads: int | None = None,
+        progress: bool = False,
     ) -> ShellShape:
         """Encode a mesh of any quality or a point cloud as a field on shells.
 
@@ -116,6 +119,7 @@ class ShellShape(HarmonicShape):
                 the signed distance as it is.
             oversampling: Directions in units of 4b²; 1.5 if not given.
             threads: Number of threads, or None for all that the process may use. Does not change the result.
+            progress: Show a bar on standard error if that is a terminal.
 
         Raises:
             GeometryError: Empty, not finite, without extent or area; a cloud without normals or a surface that
@@ -142,7 +146,12 @@ class ShellShape(HarmonicShape):
         radii = np.arange(1.0, count + 1) * ((1 + margin) / count)
         grid = fibonacci_grid(size)
         # Out along each direction, so that neighbours share their side of the surface.
-        samples = source.sample(grid.directions[:, None] * radii[:, None], threads=threads).T
+        with tqdm(total=1.0, desc="sampling", leave=False, disable=not (progress and sys.stderr.isatty())) as bar:
+            samples = source.sample(
+                grid.directions[:, None] * radii[:, None],
+                threads=threads,
+                progress=lambda share: bar.update(share - bar.n),
+            ).T
         transform = SphericalHarmonicTransform(b, grid=grid, threads=threads)
         coefficients = np.asarray(transform.forward(samples), dtype=np.float64)
         return cls(coefficients, radii, field, source.center, source.scale, source.width, geometry_arrays(geometry)[1])

@@ -9,11 +9,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from fsh3d_o3d._validation import Float64Array, choice, integer, number
 from fsh3d_o3d._value import value
-from fsh3d_o3d.geometry import Surface, UnitScene, point_triangle_distance
+from fsh3d_o3d.geometry import Surface, UnitScene, nearest_distances, point_triangle_distance
 from fsh3d_o3d.shells.voxel_fields import VoxelGrid
 
 Route = Literal["voxel", "exact"]
@@ -116,6 +115,6 @@ def squared_distances(surface: Surface, points: Float64Array) -> Float64Array:
     For clouds it is the distance to the nearest point.
     """
     if surface.triangles is None:
-        return np.asarray(cKDTree(surface.vertices).query(points)[0] ** 2)
+        return nearest_distances(points, surface.vertices) ** 2
     scene = UnitScene(surface.vertices, surface.triangles)
     return np.asarray(point_triangle_distance(points, scene.corners[scene.closest(points)]) ** 2)

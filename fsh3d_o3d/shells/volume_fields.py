@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._open3d import open3d
@@ -18,10 +18,12 @@ from fsh3d_o3d.geometry import (
     BoolArray,
     MeshArrays,
     PointArrays,
+    Progress,
     UnitCube,
     UnitScene,
     geometry_arrays,
     measure_mesh,
+    nearest_distances,
     open3d_point_cloud,
     point_triangle_distance,
     triangle_areas,
@@ -36,6 +38,7 @@ FieldName = Literal["signed_distance", "occupancy", "gaussian_distance"]
 FIELDS: tuple[FieldName, ...] = ("gaussian_distance", "occupancy", "signed_distance")
 _CHUNK = 2**15  # points at a time, so that their triangles stay in the cache
 _SAME_SIDE = 0.99  # of two points' distances together: a shorter step does not meet the surface; 1 % for float32
+_FELT = 6.0  # widths: beyond, a Gaussian is below 2e-8, less than float32 tells beside 1, and counts as 0
 _POISSON_DEPTH = 8  # 256 cells across: finer than 64 shells to either side
 _CELLS = 32  # in the farthest distance of a cloud, to even out its density; a choice
 
@@ -59,16 +62,17 @@ class VolumeField:
     points: Float64Array | None
     """(n, 3) the cloud in the frame, if distances are to points."""
 
-    def sample(self, points: object, *, threads: int | None = None) -> Float64Array:
+    def sample(self, points: object, *, threads: int | None = None, progress: Progress | None = None) -> Float64Array:
         """Return the field at points (…, 3) of the frame, (…,) float64.
 
         Distances are float64. Points (…, m, 3) are best given as paths of m:
-        neighbours on a path that are nearer to each other than to the surface are on the same side of it.
+        neighbours on a path that are nearer to each other than to the surface are on the same side of it. ``progress``
+        is told the share that is done.
         """
         paths = check.real_array(points, "points").astype(np.float64)
         if paths.ndim < 2 or paths.shape[-1] != 3 or paths.size == 0:
             raise ValueError(f"points must have shape (…, 3) with at least two axes, got {paths.shape}")
-        distance = self._distance(paths.reshape(-1, 3), resolve_threads(threads)).reshape(paths.shape[:-1])
+        distance = self._distance(paths.reshape(-1, 3), resolve_threads(threads), progress).reshape(paths.shape[:-1])
         if self.field == "gaussian_distance":
             return np.asarray(np.exp(-0.5 * (distance / self.width) ** 2))
         assert self.solid is not None
@@ -78,14 +82,18 @@ class VolumeField:
         soft = np.tanh(signed / self.width)
         return np.asarray(self.width * soft if self.field == "signed_distance" else (1 - soft) / 2)
 
-    def _distance(self, positions: Float64Array, threads: int) -> Float64Array:
+    def _distance(self, positions: Float64Array, threads: int, progress: Progress | None) -> Float64Array:
         if self.points is not None:
-            return np.asarray(KDTree(self.points).query(positions, workers=threads)[0])
+            return nearest_distances(positions, self.points, farthest=_FELT * self.width, progress=progress)
         assert self.solid is not None
         scene = UnitScene(self.solid.vertices, self.solid.triangles)
+        done = itertools.count(1)
 
         def measured(part: Float64Array) -> Float64Array:
-            return point_triangle_distance(part, scene.corners[scene.closest(part)])
+            distance = point_triangle_distance(part, scene.corners[scene.closest(part)])
+            if progress is not None:
+                progress(next(done) / len(parts))
+            return distance
 
         parts = [positions[start : start + _CHUNK] for start in range(0, len(positions), _CHUNK)]
         return np.concatenate(run_all([functools.partial(measured, part) for part in parts], threads))

@@ -150,6 +150,14 @@ def test_cloud_distance_is_to_the_nearest_point(rng):
     assert field.sample(points) == pytest.approx(np.exp(-2 * nearest**2), abs=1e-12)
 
 
+def test_gaussian_of_a_cloud_is_zero_where_it_is_not_felt():
+    field = volume_field(PointArrays(fsh.fibonacci_grid(2000).directions), "gaussian_distance", center=np.zeros(3))
+    values = field.sample(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.45], [0.0, 0.0, 0.97]]))
+    assert values[0] == 0  # ten widths away: not searched
+    assert values[1] == pytest.approx(np.exp(-0.5 * 5.5**2), rel=0.05)
+    assert values[2] > 0.9
+
+
 @pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
 def test_frame_follows_scale_and_shift(size):
     field = volume_field(MeshArrays(sphere(8).vertices * size + 3 * size, sphere(8).triangles))
