@@ -61,7 +61,7 @@ _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("JSON", re.compile(rb'\s*(\{\s*["}]|\[\s*[\[{"\d-])')),
     ("OBJ", re.compile(rb"(?s:.){0,3000}?(^|[\r\n])(v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]|mtllib )")),
 )
-_WRITTEN_AS = {"GLTF": "JSON"}
+_WRITTEN_AS = {"GLTF": "JSON", "3MF": "ZIP"}
 """Formats whose files are of another, more general one as well."""
 
 

@@ -7,7 +7,6 @@ their own beside the target. Here text has the digits that float64 needs and the
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,7 +62,7 @@ def obj_bytes(surface: Content) -> bytes:
     if surface.normals is not None:
         text += _rows("vn", surface.normals)
         corner, corners = "%d//%d %d//%d %d//%d", np.repeat(corners, 2, axis=1)
-    return (text + _format(f"f {corner}\n", corners)).encode("ascii")
+    return (text + format_rows(f"f {corner}\n", corners)).encode("ascii")
 
 
 def off_bytes(surface: Content) -> bytes:
@@ -79,7 +78,9 @@ def off_bytes(surface: Content) -> bytes:
         pattern += " %d %d %d 255"
     kind = ("C" if surface.colors is not None else "") + ("N" if surface.normals is not None else "") + "OFF"
     header = f"{kind}\n{len(surface.points)} {len(triangles)} 0\n"
-    return (header + _format(pattern + "\n", np.hstack(columns)) + _format("3 %d %d %d\n", triangles)).encode("ascii")
+    return (header + format_rows(pattern + "\n", np.hstack(columns)) + format_rows("3 %d %d %d\n", triangles)).encode(
+        "ascii"
+    )
 
 
 def stl_bytes(surface: Content) -> bytes:
@@ -175,19 +176,6 @@ def pcd_bytes(surface: Content) -> bytes:
     return "\n".join(header).encode("ascii") + table.tobytes()
 
 
-MESH_WRITERS: dict[str, Callable[[Content], bytes]] = {
-    ".ply": ply_bytes,
-    ".obj": obj_bytes,
-    ".off": off_bytes,
-    ".stl": stl_bytes,
-    ".glb": glb_bytes,
-}
-"""Extension and function for meshes."""
-
-CLOUD_WRITERS: dict[str, Callable[[Content], bytes]] = {".ply": ply_bytes, ".xyz": xyz_bytes, ".pcd": pcd_bytes}
-"""Extension and function for point clouds."""
-
-
 def _triangles(surface: Content) -> IntArray:
     assert surface.triangles is not None
     return surface.triangles
@@ -205,11 +193,12 @@ def _as_float32(values: Float64Array, kind: str) -> NDArray[np.float32]:
 
 def _rows(keyword: str, table: Float64Array) -> str:
     pattern = " ".join(([keyword] if keyword else []) + ["%r"] * table.shape[1])
-    return _format(pattern + "\n", table)
+    return format_rows(pattern + "\n", table)
 
 
-def _format(pattern: str, table: NDArray[Any]) -> str:
-    # One formatting operation for the whole table; %r is the shortest text that reads back as the same float64.
+def format_rows(pattern: str, table: NDArray[Any]) -> str:
+    """Return each row of a table in a pattern; ``%r`` is the shortest text that reads back as the same float64."""
+    # One formatting operation for the whole table.
     return (pattern * len(table)) % tuple(table.ravel().tolist())
 
 

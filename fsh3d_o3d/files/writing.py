@@ -10,7 +10,8 @@ import numpy as np
 
 from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.files.serialise import CLOUD_WRITERS, MESH_WRITERS, Content
+from fsh3d_o3d.files.serialise import Content
+from fsh3d_o3d.files.writers import CLOUD_WRITERS, MESH_WRITERS
 from fsh3d_o3d.geometry import PointArrays, geometry_arrays, vertex_attributes
 
 WRITABLE_MESH_FORMATS: tuple[str, ...] = tuple(MESH_WRITERS)
@@ -22,10 +23,10 @@ WRITABLE_CLOUD_FORMATS: tuple[str, ...] = tuple(CLOUD_WRITERS)
 def write_geometry(path: str | os.PathLike[str], geometry: Any) -> None:
     """Write a mesh or a point cloud; the extension names the format.
 
-    Meshes: ``.ply .obj .off`` (float64), ``.stl .glb`` (float32). Points: ``.ply .xyz`` (float64), ``.pcd`` (float32).
-    Vertex normals and colours are kept where the format has a place for them (``.stl`` has none, ``.xyz`` none for
-    colours); texture coordinates and materials are not written. The file appears under its name only when it is
-    complete; on any error what was there before stays.
+    Meshes: ``.ply .obj .off .3mf`` (float64), ``.stl .glb`` (float32). Points: ``.ply .xyz`` (float64), ``.pcd``
+    (float32). Vertex normals and colours are kept where the format has a place for them (``.stl`` and ``.3mf`` have
+    none, ``.xyz`` none for colours); texture coordinates and materials are not written. The file appears under its name
+    only when it is complete; on any error what was there before stays.
 
     Args:
         path: The file.

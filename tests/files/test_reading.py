@@ -24,6 +24,7 @@ from fsh3d_o3d.files.reader_process import ReaderProcess
 from fsh3d_o3d.files.reading import READABLE_FORMATS, read_geometry, read_geometry_arrays
 from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
 from tests.files import mutations
+from tests.files.exchange import FORMATS
 
 FILES = mutations.valid_files()
 MESHES = [name for name in FILES if "points" not in name and not name.endswith(".pcd")]
@@ -61,7 +62,7 @@ EXPECTED = canonical(mutations.VERTICES, mutations.TRIANGLES)
 
 
 def test_samples_cover_every_readable_format():
-    assert {Path(name).suffix for name in FILES} == set(READABLE_FORMATS)
+    assert {Path(name).suffix for name in FILES} | FORMATS == set(READABLE_FORMATS)
 
 
 @pytest.mark.parametrize("isolated", [True, False])

@@ -41,8 +41,9 @@ PARSERS: dict[str, Parser] = {
     ".xyzrgb": parse_xyzrgb,
     ".pts": parse_pts,
     ".pcd": parse_pcd,
+    ".3mf": _when_met("threemf", "parse_3mf"),
 }
 """A file's extension, and what turns its content into arrays or raises ``GeometryError`` with the reason."""
 
-NOT_TEXT: frozenset[str] = frozenset({".glb"})
+NOT_TEXT: frozenset[str] = frozenset({".glb", ".3mf"})
 """Formats whose first bytes are never a mark of Unicode."""

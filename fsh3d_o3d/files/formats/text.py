@@ -230,3 +230,21 @@ def _first_bad(text: bytes) -> str:
         return b"_" not in token
 
     return next((text_reason(token) for token in text.split() if not is_number(token)), "something else")
+
+
+def numbers(text: bytes) -> Float64Array:
+    """Return all numbers of a text, with white space between them."""
+    lines = TextLines.of(text)
+    return lines.span(0, len(lines)).values
+
+
+def numbers_between(data: NDArray[np.uint8], starts: IntArray, stops: IntArray) -> Float64Array:
+    """Return the one number that each of the sorted, disjoint spans of a text holds, white space around it aside."""
+    blanked = np.where(_inside(starts, stops, len(data)), data, np.uint8(_SPACE))
+    first, last = _tokens(blanked)
+    if len(first) != len(starts) or (first < starts).any() or (last > stops).any():
+        held = np.searchsorted(first, stops) - np.searchsorted(first, starts)
+        wrong = int(np.flatnonzero(held != 1)[0]) if (held != 1).any() else 0
+        found = data[starts[wrong] : stops[wrong]].tobytes()
+        raise GeometryReadError(f"expected one number, found {text_reason(found)}")
+    return _numbers(blanked, first, last)
