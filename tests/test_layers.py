@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import fsh3d_o3d
+from tests.optional import skip_without_torch
 
 PACKAGE = Path(fsh3d_o3d.__file__).parent
 FLOORS = [
@@ -27,6 +28,7 @@ FLOORS = [
     "shapes",
     "descriptors",
     "registration",
+    "torch",
     "jobs",
     "evaluation",
     "index",
@@ -121,8 +123,8 @@ def test_files_do_not_import_each_other_in_circles() -> None:
 
 @pytest.mark.parametrize("path", OUTSIDE, ids=lambda path: path.relative_to(PACKAGE.parent).as_posix())
 def test_scripts_come_in_through_the_doors(path: Path) -> None:
-    """What ``import fsh3d_o3d`` offers, or what stands in a folder's door, and exists."""
-    offered = {(name,) for name in fsh3d_o3d.__all__} | {()}
+    """What ``import fsh3d_o3d`` offers, or what stands in a folder's door, and exists; and the door of ``torch``."""
+    offered = {(name,) for name in fsh3d_o3d.__all__} | {(), ("torch",)}
     assert [
         ".".join(name)
         for name in own_imports(path)
@@ -132,6 +134,7 @@ def test_scripts_come_in_through_the_doors(path: Path) -> None:
 
 @pytest.mark.parametrize("door", sorted(DOORS), ids=".".join)
 def test_a_door_says_what_its_folder_is_and_offers_what_exists(door: tuple[str, ...]) -> None:
+    skip_without_torch(needed=door[0] == "torch")
     module = importlib.import_module(".".join(("fsh3d_o3d", *door)))
     assert module.__doc__ and len(module.__doc__.split()) >= 8
     assert len(module.__all__) == len(set(module.__all__))
@@ -167,8 +170,8 @@ def test_open3d_is_imported_in_one_place(path: Path) -> None:
 
 @pytest.mark.parametrize("module", ["fsh3d_o3d", "fsh3d_o3d.cli"])
 def test_import_is_light(module: str) -> None:
-    """Open3D and plotly take seconds to import: nothing does before they are needed."""
-    heavy = "jinja2 lancedb matplotlib open3d plotly pyarrow pymeshlab ray scipy.ndimage skimage"
+    """Open3D, plotly and PyTorch take seconds to import: nothing does before they are needed."""
+    heavy = "jinja2 lancedb matplotlib open3d plotly pyarrow pymeshlab ray scipy.ndimage skimage torch"
     code = f"import sys, {module}; print(sorted(set('{heavy}'.split()) & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent, check=True)
     assert done.stdout.strip() == "[]"
@@ -218,6 +221,7 @@ def test_public_names_exist_and_are_documented(path: Path) -> None:
     assert missing == []
     module = ".".join(("fsh3d_o3d", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__")
     if public:
+        skip_without_torch(needed=module.startswith("fsh3d_o3d.torch"))
         __import__(module)
         assert [name for name in public if not hasattr(sys.modules[module], name)] == []
 

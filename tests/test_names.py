@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import fsh3d_o3d as fsh
+from tests.optional import HAS_TORCH
 
 PACKAGE = Path(fsh.__file__).parent
 ROOT = PACKAGE.parent
@@ -22,7 +23,8 @@ WORDS = {"bandwidth", "degree", "describe", "open3d", "rotation"}
 @functools.cache
 def defined():
     """Names of all functions and classes at the top of the package's files."""
-    nodes = (node for path in PACKAGE.rglob("*.py") for node in ast.parse(path.read_text("utf-8")).body)
+    own = (path for path in PACKAGE.rglob("*.py") if path.parent.name != "torch")  # their names stand after ``ft.``
+    nodes = (node for path in own for node in ast.parse(path.read_text("utf-8")).body)
     named = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
     return {name for name in named if not name.startswith("_")} - WORDS
 
@@ -34,12 +36,14 @@ def in_code_font(text):
     starts = (re.match(r"[A-Za-z_][\w.]*", code) for code in re.findall(r"`([^`\n]+)`", rest))
     yield from (start.group().rstrip(".") for start in starts if start)
     for block in blocks:
-        yield from re.findall(r"\bfsh\.\w+", block)
+        yield from re.findall(r"\b(?:fsh|ft)\.\w+", block)
 
 
 def exists(name):
     """Whether a dotted name leads somewhere from the package: an attribute, a field, or a folder's name."""
     value = fsh
+    if name.startswith("ft."):
+        value, name = importlib.import_module("fsh3d_o3d.torch"), name.removeprefix("ft.")
     for part in name.split("."):
         fields = getattr(value, "__dataclass_fields__", {})
         if part in fields and not hasattr(value, part):
@@ -56,6 +60,12 @@ def test_names_in_code_font_can_be_imported(page):
     for written in in_code_font(page.read_text("utf-8")):
         name = re.sub(r"^(fsh|fsh3d_o3d)\.", "", written)
         first = name.partition(".")[0]
+        if first == "torch" and name == written:
+            continue  # PyTorch's own; ours stand after ``ft.``
+        if first == "ft":
+            if HAS_TORCH and not exists(name):
+                wrong.add(written)
+            continue
         ours = name != written or first in defined() or (first in fsh.__all__ and "." in name)
         if first == "index":
             name = name.replace("index.", "ShapeIndex.", 1)  # one of them, not the folder

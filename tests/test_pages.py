@@ -12,6 +12,7 @@ import pytest
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d.cli import main
+from tests.optional import skip_without_torch
 
 ROOT = Path(__file__).parents[1]
 SAMPLES = ROOT / "samples"
@@ -49,6 +50,7 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("page", [page for page in PAGES if CODE[page]])
 def test_code_runs(page, folder):
+    skip_without_torch(needed=any("import torch" in block for block in CODE[page]))
     names = {"__name__": "__main__", "values": np.ones((2, 6144)), "directions": np.eye(3)}
     for block in CODE[page]:
         exec(block, names)

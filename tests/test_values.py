@@ -28,6 +28,7 @@ from fsh3d_o3d.geometry.measures import measure_mesh
 from fsh3d_o3d.radial.star import star_center
 from fsh3d_o3d.shapes.shape import HarmonicShape
 from tests.geometry.mesh_shapes import box
+from tests.optional import HAS_TORCH
 
 LONGEST = 360  # characters of a line that is printed of a value with a dozen fields
 NO_VALUES = {"Shape", "ShapeIndex"}  # a protocol, and an open folder
@@ -119,7 +120,8 @@ def values() -> tuple[type, ...]:
     shared = vars(Pair)["__reduce__"]
     found = []
     for module in pkgutil.walk_packages(fsh.__path__, "fsh3d_o3d."):
-        if not module.name.endswith("__main__"):
+        left_out = not HAS_TORCH and module.name.startswith("fsh3d_o3d.torch")
+        if not module.name.endswith("__main__") and not left_out:
             for _, cls in inspect.getmembers(importlib.import_module(module.name), inspect.isclass):
                 if vars(cls).get("__reduce__") is shared and cls not in found:
                     found.append(cls)

@@ -51,6 +51,8 @@ from .weight_cache import clear_weight_cache as clear_weight_cache
 from .weight_cache import weight_cache_directory as weight_cache_directory
 from .weight_solution import WeightSolution as WeightSolution
 from .weight_solver import analytic_weights as analytic_weights
+from .weight_solver import solve_weights as solve_weights
+from .weight_solver import warn_if_inexact as warn_if_inexact
 from .weights import area_weights as area_weights
 from .weights import checked_weights as checked_weights
 from .weights import driscoll_healy_weights as driscoll_healy_weights
