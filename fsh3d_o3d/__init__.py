@@ -45,8 +45,10 @@ from fsh3d_o3d.geometry import (
     PointArrays,
     Repair,
     SurfaceError,
+    from_any,
     repair_mesh,
     surface_error,
+    to_open3d,
     vertex_distances,
 )
 from fsh3d_o3d.index import (
@@ -220,10 +222,12 @@ __all__ = [
     "Repair",
     "StarReport",
     "SurfaceError",
+    "from_any",
     "read_geometry",
     "repair_mesh",
     "star_center",
     "surface_error",
+    "to_open3d",
     "vertex_distances",
     "write_geometry",
     # errors

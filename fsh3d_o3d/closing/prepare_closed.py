@@ -34,6 +34,7 @@ from fsh3d_o3d.geometry import (
     repair_mesh,
     vertex_distances,
     weld,
+    with_values_of,
 )
 
 __all__ = ["Closing", "ClosingMethod", "prepare_closed"]
@@ -102,7 +103,7 @@ def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> C
     handle, and threads join what hangs apart.
 
     Args:
-        mesh: ``MeshArrays`` or Open3D triangle mesh, legacy or tensor.
+        mesh: Triangle mesh, as ``from_any`` takes it.
         resolution: Cells along the longest side of the bounding box where the mesh is carved, 8 … 1024. What is thinner
             than a cell keeps its place but not its thickness; gaps narrower than a cell may close.
         repair: Whether to try a repair before carving.
@@ -126,7 +127,9 @@ def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> C
         raise TypeError("a closed surface needs a mesh, got a point cloud; reconstruct a surface from it first")
     welded = weld(given)
     cube = UnitCube.around(welded.vertices)
-    unit = MeshArrays(cube.to_unit(welded.vertices), welded.triangles)  # where squares of lengths do not overflow
+    unit = MeshArrays(
+        cube.to_unit(welded.vertices), welded.triangles
+    )  # bare, and where squares of lengths do not overflow
     measures = measure_mesh(unit)
     if measures.area <= _NO_AREA:
         raise GeometryError("the mesh has no area: all its triangles are degenerate")
@@ -150,7 +153,7 @@ def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> C
     there, back = _distances(points, closed), _distances(area_samples(closed, _SAMPLES)[0], unit)
     reached = there if outer is None or not outer.any() else there[outer]
     return Closing(
-        mesh=MeshArrays(cube.from_unit(closed.vertices), closed.triangles),
+        mesh=with_values_of(given, MeshArrays(cube.from_unit(closed.vertices), closed.triangles)),
         method=method,
         problems=problems,
         changed=changed,

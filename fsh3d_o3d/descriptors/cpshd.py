@@ -87,7 +87,7 @@ def compute_cpshd_feature(mesh: Any, option: CPSHDOption | None = None) -> Any:
     ``conformal_map`` in place of their Willmore flow.
 
     Args:
-        mesh: Open3D ``TriangleMesh``, legacy or tensor, or ``MeshArrays``.
+        mesh: Triangle mesh, as ``from_any`` takes it.
         option: ``CPSHDOption()`` if not given.
 
     Returns:

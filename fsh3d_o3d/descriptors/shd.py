@@ -51,7 +51,7 @@ def compute_shd_feature(geometry: Any, option: SHDOption | None = None) -> Any:
     mirrored, scaled or triangulated otherwise. Meshes need not be closed, oriented or free of intersections.
 
     Args:
-        geometry: Open3D ``TriangleMesh`` or ``PointCloud``, legacy or tensor, or ``MeshArrays`` or ``PointArrays``.
+        geometry: Mesh or point cloud, as ``from_any`` takes it.
         option: ``SHDOption()`` if not given.
 
     Returns:

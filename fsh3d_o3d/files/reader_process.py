@@ -11,6 +11,7 @@ import errno
 import fcntl
 import importlib
 import json
+import math
 import os
 import select
 import signal
@@ -19,6 +20,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Any, cast
 
 import numpy as np
@@ -37,8 +39,9 @@ _START_SECONDS = 60.0  # a choice; starting takes a quarter of a second, on a bu
 _POLL_SECONDS = 0.5  # a choice; waiting looks up, as a signal that another thread has got wakes nobody who waits
 _EXIT_SECONDS = 10.0  # a choice, for a process that has closed its pipes; it takes milliseconds
 _LARGEST_HEADER = 1 << 20  # bytes of JSON, a choice; answers have some hundred, and what is larger is none
-_FIELDS = {MeshArrays: ("vertices", "triangles"), PointArrays: ("points", "normals", "colors")}
-_CLASSES = {kind.__name__: kind for kind in _FIELDS}
+_CLASSES = {kind.__name__: kind for kind in (MeshArrays, PointArrays)}
+_ATTRIBUTE = "attributes/"  # before the names of attributes, which are anything
+_MOST_AXES = 3  # of an array; texture coordinates have three
 _DTYPES = {"f8": np.dtype(np.float64), "i8": np.dtype(np.int64)}
 # One thread: the reader multiplies no matrices, and each BLAS thread would take address space from the limit.
 _ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -159,9 +162,12 @@ def _ask(process: ChildProcess, path: str, timeout: float, memory_limit: int) ->
     for array in answer.get("arrays", {}).values():
         shape = tuple(int(length) for length in array["shape"])
         dtype = _DTYPES.get(array["dtype"])
-        if dtype is None or len(shape) != 2 or min(shape) < 0 or shape[0] * shape[1] * dtype.itemsize > memory_limit:
+        if dtype is None or not 1 <= len(shape) <= _MOST_AXES or min(shape) < 0:
             raise ValueError("the header asks for impossible arrays")
-        array["data"] = _receive(process, shape[0] * shape[1] * dtype.itemsize, deadline).view(dtype).reshape(shape)
+        size = math.prod(shape) * dtype.itemsize
+        if size > memory_limit:
+            raise ValueError("the header asks for impossible arrays")
+        array["data"] = _receive(process, size, deadline).view(dtype).reshape(shape)
     return answer
 
 
@@ -192,9 +198,9 @@ def _read_file(path: str, answer: dict[str, Any]) -> ReadFile:
         raise read_error(path, str(answer.get("reason", "the reader broke the protocol")))
     kind: Any = _CLASSES[answer["kind"]]
     try:
-        geometry: MeshArrays | PointArrays = kind(
-            **{name: answer["arrays"][name]["data"] for name in _FIELDS[kind] if name in answer["arrays"]}
-        )
+        given = {name: array["data"] for name, array in answer["arrays"].items()}
+        attributes = {name.removeprefix(_ATTRIBUTE): given.pop(name) for name in list(given) if _ATTRIBUTE in name}
+        geometry: MeshArrays | PointArrays = kind(**given, attributes=attributes)
         parts = tuple(
             Part(str(name), int(points), int(triangles)) for name, points, triangles in answer.get("parts", [])
         )
@@ -240,8 +246,9 @@ def _answer(read: Callable[[str], ReadFile], path: str) -> tuple[dict[str, Any],
     except MemoryError:
         return {"error": "GeometryReadError", "reason": "needs more memory than the reader is allowed"}, []
     geometry = found.geometry
-    arrays = {name: getattr(geometry, name) for name in _FIELDS[type(geometry)]}
-    given = {name: array for name, array in arrays.items() if array is not None}
+    arrays = {field.name: getattr(geometry, field.name) for field in fields(geometry)}
+    attributes = {f"{_ATTRIBUTE}{name}": array for name, array in arrays.pop("attributes").items()}
+    given = {name: array for name, array in {**arrays, **attributes}.items() if array is not None}
     described = {name: {"dtype": array.dtype.str[1:], "shape": array.shape} for name, array in given.items()}
     header = {
         "kind": type(geometry).__name__,

@@ -19,7 +19,7 @@ from fsh3d_o3d.files.formats import PARSERS, ReadFile
 from fsh3d_o3d.files.object_storage import absolute
 from fsh3d_o3d.files.parsing import read_file, require_readable
 from fsh3d_o3d.files.reader_process import ReaderProcess
-from fsh3d_o3d.geometry import GEOMETRY_KINDS, GeometryKind, MeshArrays, PointArrays, open3d_mesh, open3d_point_cloud
+from fsh3d_o3d.geometry import GEOMETRY_KINDS, GeometryKind, MeshArrays, PointArrays, read_paths_with, to_open3d
 
 READABLE_FORMATS: tuple[str, ...] = tuple(PARSERS)
 """Extensions that are read."""
@@ -95,7 +95,7 @@ def read_geometry(path: str | os.PathLike[str], *, kind: GeometryKind = "legacy"
         SizeVector[6000, 3]
     """
     check.choice(kind, "kind", GEOMETRY_KINDS)
-    geometry = read_geometry_arrays(path, isolated=isolated)
-    if isinstance(geometry, MeshArrays):
-        return open3d_mesh(geometry, kind)
-    return open3d_point_cloud(geometry, kind)
+    return to_open3d(read_geometry_arrays(path, isolated=isolated), kind=kind)
+
+
+read_paths_with(read_geometry_arrays)

@@ -12,7 +12,7 @@ from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files.serialise import Content
 from fsh3d_o3d.files.writers import CLOUD_WRITERS, MESH_WRITERS
-from fsh3d_o3d.geometry import PointArrays, geometry_arrays, vertex_attributes
+from fsh3d_o3d.geometry import PointArrays, from_any
 
 WRITABLE_MESH_FORMATS: tuple[str, ...] = tuple(MESH_WRITERS)
 """Extensions for meshes."""
@@ -30,7 +30,7 @@ def write_geometry(path: str | os.PathLike[str], geometry: Any) -> None:
 
     Args:
         path: The file.
-        geometry: Open3D ``TriangleMesh`` or ``PointCloud``, legacy or tensor, or ``MeshArrays`` or ``PointArrays``.
+        geometry: What ``from_any`` takes.
 
     Raises:
         ValueError: Unknown extension, or one that cannot hold this kind of geometry, or coordinates beyond float32 in
@@ -60,11 +60,11 @@ def write_geometry(path: str | os.PathLike[str], geometry: Any) -> None:
 
 
 def _surface(geometry: Any) -> Content:
-    arrays, _ = geometry_arrays(geometry)
+    arrays = from_any(geometry)
     if isinstance(arrays, PointArrays):
         surface = Content(arrays.points, None, arrays.normals, arrays.colors)
     else:
-        surface = Content(arrays.vertices, arrays.triangles, *vertex_attributes(geometry))
+        surface = Content(arrays.vertices, arrays.triangles, arrays.normals, arrays.colors)
     for name in ("normals", "colors"):
         values = getattr(surface, name)
         if values is not None and (values.shape != surface.points.shape or not np.isfinite(values).all()):

@@ -1,4 +1,4 @@
-"""Open3D geometry in and out: legacy and tensor objects become arrays, and arrays become objects again.
+"""Meshes and clouds as arrays, with what belongs to their vertices and points.
 
 Everything below the public functions works on ``MeshArrays`` and ``PointArrays``; Open3D objects exist at the edges.
 Their arrays are copies of what was given, and nothing in the package writes into them. They are not locked against
@@ -7,30 +7,32 @@ their owner, because ``Vector3dVector`` takes no read-only array.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from dataclasses import field, replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d import _validation as check
-from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 
-GeometryKind = Literal["legacy", "tensor"]
-GEOMETRY_KINDS: tuple[GeometryKind, ...] = ("legacy", "tensor")
-"""Both kinds of Open3D geometry."""
+RESERVED_NAMES = ("positions", "normals", "colors", "indices", "texture_uvs")
+"""What attributes must not be called, because a geometry has fields for it."""
 
 
 @value
 class MeshArrays:
-    """A triangle mesh as arrays of its own.
+    """A triangle mesh as arrays of its own, with what belongs to its vertices.
 
     Example:
         >>> directions, triangles = fsh.icosphere(2)
-        >>> mesh = fsh.MeshArrays(directions, triangles[:10])
-        >>> len(mesh.compact()[0].vertices) < len(mesh.vertices)
+        >>> mesh = fsh.MeshArrays(directions, triangles[:10], attributes={"height": directions[:, 2]})
+        >>> smaller, kept = mesh.compact()  # without the vertices that no triangle uses
+        >>> len(smaller.vertices) == len(smaller.attributes["height"]) < len(mesh.vertices)
         True
     """
 
@@ -38,6 +40,14 @@ class MeshArrays:
     """(v, 3) positions, finite."""
     triangles: IntArray
     """(t, 3) vertex indices, within range, t >= 1."""
+    normals: Float64Array | None = None
+    """(v, 3) normals at the vertices as given (not normalised), or None."""
+    colors: Float64Array | None = None
+    """(v, 3) colours in [0, 1], or None."""
+    texture_uvs: Float64Array | None = None
+    """(t, 3, 2) texture coordinates of the corners of the triangles, or None."""
+    attributes: Mapping[str, Float64Array] = field(default_factory=dict)
+    """Further values (v,) or (v, k) at the vertices, by name."""
 
     def __post_init__(self) -> None:
         vertices = _points(self.vertices, "mesh vertices")
@@ -53,6 +63,11 @@ class MeshArrays:
             )
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "triangles", triangles)
+        for name in ("normals", "colors"):
+            object.__setattr__(self, name, _beside(getattr(self, name), name, vertices.shape, "the vertices"))
+        corners = (len(triangles), 3, 2)
+        object.__setattr__(self, "texture_uvs", _beside(self.texture_uvs, "texture_uvs", corners, "the triangles"))
+        object.__setattr__(self, "attributes", _attributes(self.attributes, len(vertices)))
 
     @property
     def diagonal(self) -> float:
@@ -84,12 +99,13 @@ class MeshArrays:
     def compact(self) -> tuple[MeshArrays, IntArray]:
         """Return the mesh without the vertices that no triangle uses, and which (u,) of its vertices those left are."""
         used = self.used
-        return MeshArrays(self.vertices[used], (np.cumsum(used) - 1)[self.triangles]), np.flatnonzero(used)
+        kept = np.flatnonzero(used)
+        return rearranged(self, kept, (np.cumsum(used) - 1)[self.triangles]), kept
 
 
 @value
 class PointArrays:
-    """A point cloud as arrays of its own.
+    """A point cloud as arrays of its own, with what belongs to its points.
 
     Example:
         >>> cloud = fsh.PointArrays(fsh.icosphere(2)[0])
@@ -103,17 +119,15 @@ class PointArrays:
     """(n, 3) normals as given (not normalised), or None."""
     colors: Float64Array | None = None
     """(n, 3) colours in [0, 1], or None."""
+    attributes: Mapping[str, Float64Array] = field(default_factory=dict)
+    """Further values (n,) or (n, k) at the points, by name."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points", _points(self.points, "points"))
+        points = _points(self.points, "points")
+        object.__setattr__(self, "points", points)
         for name in ("normals", "colors"):
-            value = getattr(self, name)
-            if value is None:
-                continue
-            array = np.array(check.unmasked(value, name), dtype=np.float64, order="C")
-            if array.shape != self.points.shape:
-                raise GeometryError(f"{name} must have shape {self.points.shape} like the points, got {array.shape}")
-            object.__setattr__(self, name, array)
+            object.__setattr__(self, name, _beside(getattr(self, name), name, points.shape, "the points"))
+        object.__setattr__(self, "attributes", _attributes(self.attributes, len(points)))
 
     @property
     def diagonal(self) -> float:
@@ -121,124 +135,60 @@ class PointArrays:
         return _diagonal(self.points)
 
 
-def geometry_arrays(geometry: Any) -> tuple[MeshArrays | PointArrays, GeometryKind]:
-    """Return an Open3D mesh or point cloud, legacy or tensor, as arrays and the kind it was.
+def bare(geometry: MeshArrays | PointArrays) -> MeshArrays | PointArrays:
+    """Return positions and triangles of a mesh alone, positions and normals of a cloud."""
+    if isinstance(geometry, MeshArrays):
+        return MeshArrays(geometry.vertices, geometry.triangles)
+    return PointArrays(geometry.points, geometry.normals)
 
-    ``MeshArrays`` and ``PointArrays`` pass through (kind ``"legacy"``). A mesh without triangles is an error, not a
-    point cloud.
 
-    Raises:
-        TypeError: Not an Open3D triangle mesh or point cloud.
-        GeometryError: Empty, not finite, or with triangles out of range.
+def rearranged(
+    mesh: MeshArrays,
+    kept: IntArray,
+    triangles: IntArray,
+    sources: IntArray | NDArray[np.bool_] | None = None,
+    *,
+    vertices: Float64Array | None = None,
+) -> MeshArrays:
+    """Return the mesh of some of its vertices, with all that belongs to them.
+
+    Args:
+        mesh: The mesh.
+        kept: (u,) which vertices.
+        triangles: (s, 3) indices of those.
+        sources: Which (s,) of the mesh's triangles they are, corner by corner; None: all of them in their order.
+        vertices: (u, 3) where those vertices are now, if not where they were.
     """
-    if isinstance(geometry, (MeshArrays, PointArrays)):
-        return geometry, "legacy"
-    o3d = open3d()
-    if isinstance(geometry, o3d.geometry.TriangleMesh):
-        return MeshArrays(np.asarray(geometry.vertices), np.asarray(geometry.triangles)), "legacy"
-    if isinstance(geometry, o3d.geometry.PointCloud):
-        return (
-            PointArrays(
-                np.asarray(geometry.points),
-                np.asarray(geometry.normals) if geometry.has_normals() else None,
-                np.asarray(geometry.colors) if geometry.has_colors() else None,
-            ),
-            "legacy",
-        )
-    if isinstance(geometry, o3d.t.geometry.TriangleMesh):
-        return MeshArrays(_tensor(geometry.vertex, "positions"), _tensor(geometry.triangle, "indices")), "tensor"
-    if isinstance(geometry, o3d.t.geometry.PointCloud):
-        normals = _tensor(geometry.point, "normals") if "normals" in geometry.point else None
-        colors = _unit_range(_tensor(geometry.point, "colors")) if "colors" in geometry.point else None
-        return PointArrays(_tensor(geometry.point, "positions"), normals, colors), "tensor"
-    raise TypeError(
-        "geometry must be an open3d.geometry or open3d.t.geometry TriangleMesh or PointCloud, got "
-        f"{type(geometry).__module__}.{type(geometry).__name__}"
+    uvs = mesh.texture_uvs
+    return MeshArrays(
+        mesh.vertices[kept] if vertices is None else vertices,
+        triangles,
+        None if mesh.normals is None else mesh.normals[kept],
+        None if mesh.colors is None else mesh.colors[kept],
+        uvs if uvs is None or sources is None else uvs[sources],
+        {name: values[kept] for name, values in mesh.attributes.items()},
     )
 
 
-def vertex_attributes(geometry: Any) -> tuple[Float64Array | None, Float64Array | None]:
-    """Return the normals and the colours in [0, 1] of vertices or points, (v, 3) each; None for what there is not.
-
-    Takes what ``geometry_arrays`` takes; lengths and shapes are as given.
-    """
-    if isinstance(geometry, MeshArrays):
-        return None, None
-    o3d = open3d()
-    if isinstance(geometry, o3d.geometry.TriangleMesh):
-        return (
-            np.asarray(geometry.vertex_normals) if geometry.has_vertex_normals() else None,
-            np.asarray(geometry.vertex_colors) if geometry.has_vertex_colors() else None,
-        )
-    if isinstance(geometry, o3d.t.geometry.TriangleMesh):
-        found = {name: _tensor(geometry.vertex, name) for name in ("normals", "colors") if name in geometry.vertex}
-        normals, colors = found.get("normals"), found.get("colors")
-        return (
-            None if normals is None else normals.astype(np.float64),
-            None if colors is None else _unit_range(colors).astype(np.float64),
-        )
-    arrays, _ = geometry_arrays(geometry)
-    return (arrays.normals, arrays.colors) if isinstance(arrays, PointArrays) else (None, None)
+def flipped(mesh: MeshArrays, which: NDArray[np.bool_]) -> MeshArrays:
+    """Return the mesh with some of its triangles (t,) wound the other way round."""
+    order = (0, 2, 1)
+    uvs = mesh.texture_uvs
+    return replace(
+        mesh,
+        triangles=np.where(which[:, None], mesh.triangles[:, order], mesh.triangles),
+        texture_uvs=None if uvs is None else np.where(which[:, None, None], uvs[:, order], uvs),
+    )
 
 
-def chosen_kind(kind: GeometryKind | None, own: GeometryKind) -> GeometryKind:
-    """Return ``kind``, or ``own`` where it is None.
-
-    Raises:
-        ValueError: It is neither ``"legacy"`` nor ``"tensor"``.
-    """
-    if kind is None:
-        return own
-    check.choice(kind, "kind", GEOMETRY_KINDS)
-    return kind
-
-
-def open3d_mesh(
-    mesh: MeshArrays,
-    kind: GeometryKind = "legacy",
-    *,
-    normals: Float64Array | None = None,
-    colors: Float64Array | None = None,
-) -> Any:
-    """Return a mesh as a legacy or tensor ``TriangleMesh``; ``normals``, ``colors`` per vertex (v, 3)."""
-    o3d = open3d()
-    if kind == "legacy":
-        legacy = o3d.geometry.TriangleMesh(
-            o3d.utility.Vector3dVector(mesh.vertices),
-            o3d.utility.Vector3iVector(mesh.triangles.astype(np.int32)),
-        )
-        if normals is not None:
-            legacy.vertex_normals = o3d.utility.Vector3dVector(np.array(normals))
-        if colors is not None:
-            legacy.vertex_colors = o3d.utility.Vector3dVector(np.array(colors))
-        return legacy
-    tensor = o3d.t.geometry.TriangleMesh()
-    tensor.vertex.positions = o3d.core.Tensor(mesh.vertices)
-    tensor.triangle.indices = o3d.core.Tensor(mesh.triangles)
-    if normals is not None:
-        tensor.vertex.normals = o3d.core.Tensor(np.array(normals))
-    if colors is not None:
-        tensor.vertex.colors = o3d.core.Tensor(np.array(colors))
-    return tensor
-
-
-def open3d_point_cloud(cloud: PointArrays, kind: GeometryKind = "legacy") -> Any:
-    """Return a cloud as a legacy or tensor ``PointCloud`` with its normals and colours."""
-    o3d = open3d()
-    if kind == "legacy":
-        legacy = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points))
-        if cloud.normals is not None:
-            legacy.normals = o3d.utility.Vector3dVector(cloud.normals)
-        if cloud.colors is not None:
-            legacy.colors = o3d.utility.Vector3dVector(cloud.colors)
-        return legacy
-    tensor = o3d.t.geometry.PointCloud()
-    tensor.point.positions = o3d.core.Tensor(cloud.points)
-    if cloud.normals is not None:
-        tensor.point.normals = o3d.core.Tensor(cloud.normals)
-    if cloud.colors is not None:
-        tensor.point.colors = o3d.core.Tensor(cloud.colors)
-    return tensor
+def selected(cloud: PointArrays, kept: IntArray | NDArray[np.bool_]) -> PointArrays:
+    """Return some of the points, with all that belongs to them."""
+    return PointArrays(
+        cloud.points[kept],
+        None if cloud.normals is None else cloud.normals[kept],
+        None if cloud.colors is None else cloud.colors[kept],
+        {name: values[kept] for name, values in cloud.attributes.items()},
+    )
 
 
 def _points(value: Any, name: str) -> Float64Array:
@@ -255,19 +205,36 @@ def _points(value: Any, name: str) -> Float64Array:
     return array
 
 
+def _beside(value: Any, name: str, shape: tuple[int, ...], what: str) -> Float64Array | None:
+    if value is None:
+        return None
+    array = np.array(check.unmasked(value, name), dtype=np.float64, order="C")
+    if array.shape != shape:
+        raise GeometryError(f"{name} must have shape {shape} like {what}, got {array.shape}")
+    return array
+
+
+def _attributes(value: Any, count: int) -> Mapping[str, Float64Array]:
+    if not isinstance(value, Mapping):
+        raise TypeError(f"attributes must be a mapping of names to arrays, got {type(value).__name__}")
+    result = {}
+    for name, given in value.items():
+        if not isinstance(name, str) or not name.isprintable() or not name.strip() or name in RESERVED_NAMES:
+            raise GeometryError(
+                f"an attribute must have a printable name other than {', '.join(RESERVED_NAMES)}, got {name!r}"
+            )
+        array = np.array(check.unmasked(given, f"attribute {name!r}"), dtype=np.float64, order="C")
+        if array.ndim not in (1, 2) or len(array) != count or array.size == 0:
+            raise GeometryError(
+                f"attribute {name!r} must have shape ({count},) or ({count}, k), a row for each vertex or point, "
+                f"got {array.shape}"
+            )
+        result[name] = array
+    return MappingProxyType(result)
+
+
 def _diagonal(points: Float64Array) -> float:
     # Scaled first so that coordinates near the limits of float64 do not overflow in the square.
     extent = points.max(axis=0) / 2 - points.min(axis=0) / 2
     largest = float(extent.max())
     return 2 * largest * float(np.linalg.norm(extent / largest)) if largest > 0 else 0.0
-
-
-def _unit_range(colors: Any) -> Any:
-    """Colours in [0, 1]: integers are divided by the largest of their type."""
-    return colors / np.iinfo(colors.dtype).max if colors.dtype.kind in "ui" else colors
-
-
-def _tensor(attributes: Any, name: str) -> Any:
-    if name not in attributes:
-        raise GeometryError(f"the tensor geometry has no {name}: it is empty")
-    return attributes[name].cpu().numpy()

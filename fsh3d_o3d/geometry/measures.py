@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, IntArray, integer
 from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import MeshArrays
+from fsh3d_o3d.geometry.arrays import MeshArrays, flipped, rearranged
 from fsh3d_o3d.geometry.rays import UnitCube
 from fsh3d_o3d.geometry.topology import EdgeTable, components
 from fsh3d_o3d.geometry.triangles import degenerate, even_places, points_at, solid_volume, triangle_areas
@@ -62,7 +63,7 @@ def measure_mesh(mesh: MeshArrays) -> MeshMeasures:
     cube, vertices = _in_unit_cube(mesh)
     corners = vertices[mesh.triangles]
     area, area_centroid = _area(corners)
-    table = EdgeTable(proper(mesh.triangles))
+    table = EdgeTable(without_collapsed(mesh).triangles)
     volume, volume_centroid = solid_volume(corners) if table.balanced else (None, None)
     used = int(np.count_nonzero(np.bincount(table.triangles.ravel())))
     closed = bool((table.faces == 2).all())
@@ -118,7 +119,10 @@ def weld_map(mesh: MeshArrays) -> tuple[MeshArrays, IntArray]:
     kept = first == np.arange(len(vertices))
     index = (np.cumsum(kept) - 1)[first]
     place = np.cumsum(used) - 1
-    return MeshArrays(vertices[kept], proper(index[place[mesh.triangles]])), np.flatnonzero(used)[kept]
+    triangles = index[place[mesh.triangles]]
+    whole = _three_corners(triangles)
+    source = np.flatnonzero(used)[kept]
+    return rearranged(mesh, source, triangles[whole], whole, vertices=vertices[kept]), source
 
 
 def component_areas(mesh: MeshArrays) -> tuple[IntArray, Float64Array]:
@@ -137,16 +141,17 @@ def oriented(mesh: MeshArrays) -> MeshArrays | None:
     the volume between the surface and the centre of its box comes out negative, which decides for open surfaces too.
     Needs shared vertices (``weld``); None where an edge has more than two triangles.
     """
-    triangles = proper(mesh.triangles)
-    table = EdgeTable(triangles)
+    mesh = without_collapsed(mesh)
+    table = EdgeTable(mesh.triangles)
     flips = table.flips() if (table.faces <= 2).all() else None
     if flips is None:
         return None
+    turned = mesh.triangles
     if flips.any():
-        triangles = np.where(flips[:, None], triangles[:, (0, 2, 1)], triangles)
-    if solid_volume(_in_unit_cube(mesh)[1][triangles])[0] < 0:
-        triangles = triangles[:, (0, 2, 1)]
-    return mesh if triangles is mesh.triangles else MeshArrays(mesh.vertices, triangles)
+        turned = np.where(flips[:, None], turned[:, (0, 2, 1)], turned)
+    if solid_volume(_in_unit_cube(mesh)[1][turned])[0] < 0:
+        flips = ~flips
+    return flipped(mesh, flips) if flips.any() else mesh
 
 
 def enclosed_volume(mesh: MeshArrays) -> float | None:
@@ -188,16 +193,22 @@ def _in_unit_cube(mesh: MeshArrays) -> tuple[UnitCube, Float64Array]:
     return cube, cube.to_unit(vertices)
 
 
-def proper(triangles: IntArray) -> IntArray:
-    """Return the triangles (t, 3) with three different corners; without any, a ``GeometryError``."""
-    repeated = (
-        (triangles[:, 0] == triangles[:, 1])
-        | (triangles[:, 1] == triangles[:, 2])
-        | (triangles[:, 2] == triangles[:, 0])
+def without_collapsed(mesh: MeshArrays) -> MeshArrays:
+    """Return the mesh without the triangles that repeat a corner; without any others, a ``GeometryError``."""
+    whole = _three_corners(mesh.triangles)
+    return mesh if whole.all() else rearranged(mesh, np.arange(len(mesh.vertices)), mesh.triangles[whole], whole)
+
+
+def _three_corners(triangles: IntArray) -> NDArray[np.bool_]:
+    """Which triangles (t,) have three different corners; without any, a ``GeometryError``."""
+    whole = (
+        (triangles[:, 0] != triangles[:, 1])
+        & (triangles[:, 1] != triangles[:, 2])
+        & (triangles[:, 2] != triangles[:, 0])
     )
-    if repeated.all():
+    if not whole.any():
         raise GeometryError("the mesh has no area: every triangle repeats a corner")
-    return triangles[~repeated] if repeated.any() else triangles
+    return np.asarray(whole)
 
 
 def _area(corners: Float64Array) -> tuple[float, Float64Array]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fsh3d_o3d._open3d import open3d
-from fsh3d_o3d._validation import Float64Array
+from fsh3d_o3d._validation import Float64Array, IntArray
 
 Progress = Callable[[float], object]
 """Told the share, 0 … 1, of a long computation that is done."""
@@ -42,18 +42,22 @@ def nearest_distances(
     return result
 
 
-def _searched(places: Float64Array, cloud: Float64Array, progress: Progress | None) -> Float64Array:
+def nearest_points(places: Float64Array, cloud: Float64Array, *, progress: Progress | None = None) -> IntArray:
+    """Return which point (m,) of a cloud (n, 3) is nearest to each of some places (m, 3)."""
     o3d = open3d()
     search = o3d.core.nns.NearestNeighborSearch(o3d.core.Tensor(np.ascontiguousarray(cloud)))
     search.knn_index()
-    distance = np.empty(len(places))
+    nearest = np.empty(len(places), dtype=np.int64)
     for start in range(0, len(places), _CHUNK):
         part = np.ascontiguousarray(places[start : start + _CHUNK])
-        index = search.knn_search(o3d.core.Tensor(part), 1)[0].numpy()[:, 0]
-        distance[start : start + _CHUNK] = np.linalg.norm(part - cloud[index], axis=1)
+        nearest[start : start + _CHUNK] = search.knn_search(o3d.core.Tensor(part), 1)[0].numpy()[:, 0]
         if progress is not None:
             progress((start + len(part)) / len(places))
-    return distance
+    return nearest
+
+
+def _searched(places: Float64Array, cloud: Float64Array, progress: Progress | None) -> Float64Array:
+    return np.asarray(np.linalg.norm(places - cloud[nearest_points(places, cloud, progress=progress)], axis=1))
 
 
 def _cells(cloud: Float64Array) -> tuple[Float64Array, float]:

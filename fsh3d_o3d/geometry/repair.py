@@ -10,9 +10,12 @@ from fsh3d_o3d import _validation as check
 from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import GeometryKind, MeshArrays, chosen_kind, geometry_arrays, open3d_mesh
+from fsh3d_o3d.geometry.arrays import MeshArrays
+from fsh3d_o3d.geometry.given import geometry_arrays
 from fsh3d_o3d.geometry.measures import MeshMeasures, measure_mesh, oriented, weld
+from fsh3d_o3d.geometry.open3d_objects import GeometryKind, chosen_kind, open3d_mesh
 from fsh3d_o3d.geometry.rays import UnitCube
+from fsh3d_o3d.geometry.transfer import with_values_of
 
 __all__ = ["Repair", "repair_mesh"]
 
@@ -43,7 +46,7 @@ def repair_mesh(mesh: Any, *, largest_hole: int = 1000) -> Repair:
     ``after`` tells.
 
     Args:
-        mesh: Any triangle mesh: Open3D's, legacy or tensor, or ``MeshArrays``.
+        mesh: Any triangle mesh, as ``from_any`` takes it.
         largest_hole: Most boundary edges of a hole that is closed; 0 closes none.
 
     Raises:
@@ -88,5 +91,5 @@ def repair_mesh(mesh: Any, *, largest_hole: int = 1000) -> Repair:
     vertices = np.asarray(result.vertex_matrix(), dtype=np.float64)
     repaired = MeshArrays(cube.from_unit(vertices), np.asarray(result.face_matrix(), dtype=np.int64))
     turned = oriented(repaired)
-    final = repaired if turned is None else turned
+    final = with_values_of(given, repaired if turned is None else turned)
     return Repair(final, measure_mesh(welded), measure_mesh(final), kind)

@@ -11,7 +11,8 @@ import numpy as np
 from fsh3d_o3d._validation import Float64Array, integer
 from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, geometry_arrays
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry.given import from_any
 from fsh3d_o3d.geometry.measures import area_samples, enclosed_volume, weld
 from fsh3d_o3d.geometry.nearest_point import nearest_distances
 from fsh3d_o3d.geometry.rays import UnitCube, UnitScene
@@ -51,7 +52,7 @@ def surface_error(original: Any, reconstruction: Any, *, samples: int = 100_000,
     throughout, so that equal meshes are some 1e-16 of their size apart.
 
     Args:
-        original: ``MeshArrays``, ``PointArrays`` or Open3D triangle mesh or point cloud.
+        original: Mesh or point cloud, as ``from_any`` takes it.
         reconstruction: The same.
         samples: Points on each mesh.
         seed: Of the samples; the same seed gives the same figures.
@@ -70,8 +71,8 @@ def surface_error(original: Any, reconstruction: Any, *, samples: int = 100_000,
         bandwidth 4: RMSE 1.6 % of the diagonal
         bandwidth 16: RMSE 0.2 % of the diagonal
     """
-    first = geometry_arrays(original)[0]
-    second = geometry_arrays(reconstruction)[0]
+    first = from_any(original)
+    second = from_any(reconstruction)
     count = integer(samples, "samples", minimum=1)
     cube = UnitCube.around(_positions(first), _positions(second))
     sides = []
@@ -98,7 +99,7 @@ def vertex_distances(geometry: Any, target: Any) -> Float64Array:
     Made for colour maps: one value a vertex, in the order of the vertices.
 
     Args:
-        geometry: ``MeshArrays``, ``PointArrays`` or Open3D triangle mesh or point cloud.
+        geometry: Mesh or point cloud, as ``from_any`` takes it.
         target: The same; distances to a cloud are to its nearest point.
 
     Example:
@@ -108,8 +109,8 @@ def vertex_distances(geometry: Any, target: Any) -> Float64Array:
         >>> len(distances) == len(smooth.vertices), bool(distances.max() < 0.1)
         (True, True)
     """
-    source = geometry_arrays(geometry)[0]
-    other = geometry_arrays(target)[0]
+    source = from_any(geometry)
+    other = from_any(target)
     points = source.vertices if isinstance(source, MeshArrays) else source.points
     cube = UnitCube.around(points, _positions(other))
     return np.asarray(_distances(cube.to_unit(points), other, cube) * cube.scale)

@@ -77,7 +77,7 @@ def star_center(mesh: Any, method: Literal["best", "centroid"] | Float64Array = 
     """Choose a centre for radial functions and report how star-shaped the surface is, seen from there.
 
     Args:
-        mesh: Open3D triangle mesh or ``MeshArrays``: a closed surface, or an open one, of which only ray tests tell.
+        mesh: Triangle mesh, as ``from_any`` takes it: a closed surface, or an open one, of which only ray tests tell.
         method: ``"best"``: the centre of the largest ball in the kernel, found by a cutting-plane linear programme over
             the planes of all faces; where the kernel is empty, or slivers with wrong normals empty it, the point that
             sees most area without touching the surface, searched among the centroids, the point least outside of any

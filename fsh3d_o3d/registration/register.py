@@ -127,7 +127,7 @@ def registration_spherical(
     be wrong, and its confidence low. Equal input gives equal bytes.
 
     Args:
-        source: Open3D ``TriangleMesh`` or ``PointCloud``, legacy or tensor, or ``MeshArrays`` or ``PointArrays``.
+        source: Mesh or point cloud, as ``from_any`` takes it.
         target: The same, in any combination.
         option: ``SphericalRegistrationOption()`` if not given.
 

@@ -25,7 +25,7 @@ def alignment_picture(source: Any, target: Any, aligned: Any, *, size: int = 360
     picture, the surfaces lie within each other's roughness.
 
     Args:
-        source: ``MeshArrays``, ``PointArrays`` or Open3D triangle mesh or point cloud.
+        source: Mesh or point cloud, as ``from_any`` takes it.
         target: The same.
         aligned: The source in its new place.
         size: Side of each picture in pixels.

@@ -45,8 +45,8 @@ def write_reconstruction_page(
     Args:
         path: The HTML file; replaced as a whole or not at all.
         title: Any text, such as the name of the file.
-        original: ``MeshArrays``, ``PointArrays`` or Open3D triangle mesh or point cloud.
-        reconstruction: ``MeshArrays`` or Open3D triangle mesh.
+        original: Mesh or point cloud, as ``from_any`` takes it.
+        reconstruction: Triangle mesh.
         errors: (v,) distance of each vertex of the reconstruction to the original, >= 0, in the units of the geometry.
         energies: (b,) energy of each degree (``degree_energies``), >= 0.
         figures: What the measurement found. ``rmse``, ``mae``, ``max`` (parts of the bounding-box diagonal) and

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, integer, real_array
-from fsh3d_o3d.geometry import MeshArrays, geometry_arrays, vertex_attributes
+from fsh3d_o3d.geometry import MeshArrays, from_any
 from fsh3d_o3d.report.colors import ORIGINAL_COLOR, error_colors
 from fsh3d_o3d.report.images import encode_png, side_by_side
 from fsh3d_o3d.report.rasterise import mesh_fragments, point_fragments
@@ -41,7 +41,7 @@ def render_thumbnail(
     will do. The same input gives the same picture.
 
     Args:
-        geometry: ``MeshArrays``, ``PointArrays`` or Open3D triangle mesh or point cloud, legacy or tensor.
+        geometry: What ``from_any`` takes.
         width: Pixels across, 1 … 4096.
         height: Pixels down, 1 … 4096.
         direction: (3,) from the geometry towards the viewer, of any length; z is up (y, when looking along z).
@@ -59,19 +59,18 @@ def render_thumbnail(
         ValueError: A size, colour, normal or direction of the wrong shape or range.
         GeometryError: An empty geometry, or one without extent.
     """
-    arrays = geometry_arrays(geometry)[0]
+    arrays = from_any(geometry)
     width = integer(width, "width", minimum=1, maximum=_MOST_PIXELS)
     height = integer(height, "height", minimum=1, maximum=_MOST_PIXELS)
     count = len(arrays.vertices if isinstance(arrays, MeshArrays) else arrays.points)
-    own_normals, own_colors = vertex_attributes(geometry)
-    vectors = own_normals if normals is None else _per_vertex(normals, "normals", count)
-    tints = np.clip(own_colors, 0, 1) if own_colors is not None else _color(color, "color")[None]
+    vectors = arrays.normals if normals is None else _per_vertex(normals, "normals", count)
+    tints = np.clip(arrays.colors, 0, 1) if arrays.colors is not None else _color(color, "color")[None]
     if colors is not None:
         tints = _per_vertex(colors, "colors", count)
         if tints.min() < 0 or tints.max() > 1:
             raise ValueError(f"colors must be within [0, 1], got {tints.min():g} … {tints.max():g}")
     paper = None if background is None else _color(background, "background")
-    view = View.of(arrays if around is None else geometry_arrays(around)[0], direction)
+    view = View.of(arrays if around is None else from_any(around), direction)
     raster = Raster(2 * width, 2 * height)
     turned = None if vectors is None else view.directions(vectors)
     if isinstance(arrays, MeshArrays):

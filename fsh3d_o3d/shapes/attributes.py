@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry import vertex_attributes
+from fsh3d_o3d.geometry import COLORS, TEXTURE_UVS, MeshArrays, PointArrays, bare
 from fsh3d_o3d.shapes import storage
 
-COLORS = "colors"
-"""The name of the attribute that Open3D draws, (v, 3) in [0, 1]."""
 _RESERVED = ("positions", "normals", "indices")  # what a mesh already calls its own
 
 
@@ -28,22 +27,25 @@ def checked_name(name: object) -> str:
     return name
 
 
-def checked_coefficients(attributes: object, count: int) -> dict[str, Float64Array]:
-    """Return attributes as read-only arrays (b²,) or (k, b²) of ``count`` = b² coefficients, by name."""
+def checked_coefficients(attributes: object, shape: tuple[int, ...]) -> Mapping[str, Float64Array]:
+    """Return attributes, arrays of the shape of one function's coefficients or (k, …), read-only, by name."""
     if not isinstance(attributes, Mapping):
         raise TypeError(f"attributes must be a mapping of names to arrays, got {type(attributes).__name__}")
     result = {}
+    one = "b²" if len(shape) == 1 else "S, b²"
     for key, value in attributes.items():
         name = checked_name(key)
-        array = check.values_on(value, f"attribute {name!r}", count, "b²")
-        if array.ndim > 2 or array.size == 0:
-            raise ValueError(f"attribute {name!r} must have shape (b²,) or (k, b²), got {array.shape}")
-        if name == COLORS and array.shape != (3, count):
-            raise ValueError(f"attribute {name!r} must have shape (3, b²), got {array.shape}")
+        array = check.real_array(value, f"attribute {name!r}")
+        if array.shape[-len(shape) :] != shape or array.ndim > len(shape) + 1 or array.size == 0:
+            raise ValueError(
+                f"attribute {name!r} must have shape ({one}) or (k, {one}) like the coefficients, got {array.shape}"
+            )
+        if name == COLORS and array.shape != (3, *shape):
+            raise ValueError(f"attribute {name!r} must have shape (3, {one}), got {array.shape}")
         own = np.array(array, dtype=np.float64)
         own.setflags(write=False)
         result[name] = own
-    return result
+    return MappingProxyType(result)
 
 
 def checked_values(attributes: object, count: int) -> dict[str, Float64Array]:
@@ -67,32 +69,73 @@ def checked_values(attributes: object, count: int) -> dict[str, Float64Array]:
     return result
 
 
-def vertex_colors(geometry: Any, count: int) -> Float64Array:
-    """Return the vertex colours (v, 3) of an Open3D mesh.
+def carried_values(geometry: MeshArrays | PointArrays, attributes: object, *, carry: bool) -> MeshArrays | PointArrays:
+    """Return a geometry with what a shape of it carries along, as its colours, texture coordinates and attributes.
+
+    Args:
+        geometry: With what it has itself, which goes along where ``carry`` is True.
+        attributes: Further values (v,) or (v, k) by name, or None; they take the place of its own of the same name.
+        carry: Whether its own go along.
+    """
+    if not isinstance(carry, bool):
+        raise TypeError(f"carry must be True or False, got {carry!r}")
+    given = checked_values(attributes, len(geometry.vertices if isinstance(geometry, MeshArrays) else geometry.points))
+    if not carry:
+        geometry = bare(geometry)
+    if not given:
+        return geometry
+    changes: dict[str, Any] = {}
+    if COLORS in given:
+        changes[COLORS] = given.pop(COLORS)
+    if TEXTURE_UVS in given and isinstance(geometry, MeshArrays):
+        changes[TEXTURE_UVS] = given.pop(TEXTURE_UVS)[geometry.triangles]
+    return replace(geometry, attributes={**geometry.attributes, **given}, **changes)
+
+
+def shown(name: str, values: Float64Array) -> Float64Array:
+    """Return the values of an attribute; colours clipped to [0, 1], which sums of harmonics leave a little."""
+    return np.clip(values, 0, 1) if name == COLORS else values
+
+
+def attribute_of(attributes: Mapping[str, Float64Array], name: str) -> Float64Array:
+    """Return the coefficients of an attribute.
 
     Raises:
-        GeometryError: It has none.
+        ValueError: There is no such attribute.
     """
-    colors = vertex_attributes(geometry)[1]
-    if colors is None or colors.shape != (count, 3):
-        raise GeometryError("the mesh has no vertex colors to carry along")
-    return np.asarray(colors, dtype=np.float64)
+    if name not in attributes:
+        known = ", ".join(map(repr, attributes)) or "none"
+        raise ValueError(f"the shape has no attribute {name!r}; it has {known}")
+    return attributes[name]
 
 
-def attributes_as_arrays(attributes: Mapping[str, Float64Array]) -> dict[str, Any]:
-    """Return attributes as the arrays of a file; none where there are none."""
+def attributes_as_arrays(attributes: Mapping[str, Float64Array], axes: int) -> dict[str, Any]:
+    """Return attributes as the arrays of a file; none where there are none.
+
+    Args:
+        attributes: Coefficients, of the shape of those of one function or (k, …) of such.
+        axes: How many axes those of one function have: one, or two where there is a row for each shell.
+    """
     if not attributes:
         return {}
+    rows = [array.reshape(-1, array.shape[-1]) for array in attributes.values()]
     return {
         "attribute_names": np.array(list(attributes)),
         # Functions of each attribute; 0 for a single one without an axis of its own.
-        "attribute_sizes": np.array([0 if array.ndim == 1 else len(array) for array in attributes.values()]),
-        "attribute_coefficients": np.vstack([np.atleast_2d(array) for array in attributes.values()]),
+        "attribute_sizes": np.array([0 if array.ndim == axes else len(array) for array in attributes.values()]),
+        "attribute_coefficients": np.vstack(rows),
     }
 
 
-def attributes_from_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> dict[str, Float64Array]:
+def attributes_from_arrays(
+    path: str | os.PathLike[str], arrays: Mapping[str, Any], shells: int | None
+) -> dict[str, Float64Array]:
     """Return attributes from the arrays of a file.
+
+    Args:
+        path: The file.
+        arrays: What it holds.
+        shells: Rows of coefficients that each function has where it has one for each shell; None: a single one.
 
     Raises:
         GeometryReadError, ValueError: They are malformed.
@@ -105,8 +148,9 @@ def attributes_from_arrays(path: str | os.PathLike[str], arrays: Mapping[str, An
         raise ValueError("attribute_names is malformed")
     if sizes is None or sizes.shape != names.shape or sizes.dtype.kind not in "iu" or sizes.min() < 0:
         raise ValueError("attribute_sizes is malformed")
-    ends = np.cumsum(np.maximum(sizes, 1))
+    ends = np.cumsum(np.maximum(sizes, 1)) * (1 if shells is None else shells)
     if ends[-1] != len(rows):
         raise ValueError(f"attribute_coefficients has {len(rows)} rows where attribute_sizes ask for {ends[-1]}")
-    parts = zip(names.tolist(), sizes.tolist(), ends.tolist(), strict=True)
-    return {name: rows[end - 1] if size == 0 else rows[end - size : end] for name, size, end in parts}
+    one: tuple[int, ...] = (rows.shape[1],) if shells is None else (shells, rows.shape[1])
+    parts = zip(names.tolist(), sizes.tolist(), np.split(rows, ends[:-1]), strict=True)
+    return {name: part.reshape(one if size == 0 else (size, *one)) for name, size, part in parts}

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from fsh3d_o3d import _validation as check
-from fsh3d_o3d._open3d import open3d
-from fsh3d_o3d._validation import Float64Array, FloatArray
+from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d._value import value
 from fsh3d_o3d.geometry import (
     GEOMETRY_KINDS,
@@ -23,10 +21,11 @@ from fsh3d_o3d.geometry import (
     geometry_arrays,
     open3d_mesh,
     open3d_point_cloud,
+    with_point_values,
+    with_values,
 )
 from fsh3d_o3d.shapes import attributes as _attributes
 from fsh3d_o3d.shapes import decoding as _decoding
-from fsh3d_o3d.shapes.attributes import COLORS
 from fsh3d_o3d.shapes.decoding import Triangulation
 from fsh3d_o3d.shapes.map_sampling import checked_size, transform_map
 from fsh3d_o3d.shapes.shape import HarmonicShape, feature_of
@@ -64,9 +63,8 @@ class ConformalShape(HarmonicShape):
         check.choice(self.kind, "kind", GEOMETRY_KINDS)
         own = np.array(coefficients, dtype=np.float64)
         own.setflags(write=False)
-        attributes = _attributes.checked_coefficients(self.attributes, b * b)
         object.__setattr__(self, "coefficients", own)
-        object.__setattr__(self, "attributes", MappingProxyType(attributes))
+        object.__setattr__(self, "attributes", _attributes.checked_coefficients(self.attributes, (b * b,)))
 
     @classmethod
     def from_geometry(
@@ -76,18 +74,18 @@ class ConformalShape(HarmonicShape):
         *,
         option: ConformalMapOption | None = None,
         attributes: Mapping[str, Any] | None = None,
-        colors: bool = False,
+        carry: bool = True,
         oversampling: float | None = None,
         threads: int | None = None,
     ) -> ConformalShape:
         """Encode a closed mesh of genus 0: map it onto the sphere, sample x, y, z there, transform.
 
         Args:
-            geometry: Open3D triangle mesh, legacy or tensor (or ``MeshArrays``); see ``prepare_closed`` for others.
+            geometry: Triangle mesh, as ``from_any`` takes it; see ``prepare_closed`` for those that are not closed.
             bandwidth: b; the shape has 3b² coefficients.
             option: Of the map; those that reconstruct best if not given.
-            attributes: Values (v,) or (v, k) at the vertices of the mesh by name, to be carried along.
-            colors: Carry the vertex colours of the mesh along.
+            attributes: Further values (v,) or (v, k) at the vertices of the mesh by name, to be carried along.
+            carry: Whether the mesh's own colours, texture coordinates and attributes are carried along.
             oversampling: Fibonacci directions in units of 4b²; 1.5 if not given. More change errors by a few
                 hundredths at most, in either direction.
             threads: Number of threads, or None for all that the process may use. Does not change the result.
@@ -108,12 +106,8 @@ class ConformalShape(HarmonicShape):
         mesh, kind = geometry_arrays(geometry)
         if isinstance(mesh, PointArrays):
             raise TypeError("a conformal shape is made of a triangle mesh, got a point cloud")
-        values = _attributes.checked_values(attributes, len(mesh.vertices))
-        if colors:
-            values[COLORS] = _attributes.vertex_colors(geometry, len(mesh.vertices))
-        surface = conformal_map(mesh, option)
-        carried = {name: array[surface.source_vertices] for name, array in values.items()}
-        return cls.from_map(surface, b, attributes=carried, oversampling=oversampling, threads=threads, kind=kind)
+        colored = _attributes.carried_values(mesh, attributes, carry=carry)
+        return cls.from_map(conformal_map(colored, option), b, oversampling=oversampling, threads=threads, kind=kind)
 
     @classmethod
     def from_map(
@@ -122,6 +116,7 @@ class ConformalShape(HarmonicShape):
         bandwidth: int = 64,
         *,
         attributes: Mapping[str, Any] | None = None,
+        carry: bool = True,
         oversampling: float | None = None,
         threads: int | None = None,
         kind: GeometryKind = "legacy",
@@ -131,7 +126,8 @@ class ConformalShape(HarmonicShape):
         Args:
             surface: The map; any number of shapes can be made of it.
             bandwidth: b.
-            attributes: Values (v,) or (v, k) at the vertices of ``surface.mesh`` by name.
+            attributes: Further values (v,) or (v, k) at the vertices of ``surface.mesh`` by name.
+            carry: Whether the mesh's own colours, texture coordinates and attributes are carried along.
             oversampling: Fibonacci directions in units of 4b².
             threads: Number of threads.
             kind: Which Open3D objects the shape becomes.
@@ -143,8 +139,9 @@ class ConformalShape(HarmonicShape):
         """
         b = check.bandwidth(bandwidth)
         size = checked_size(b, oversampling)
-        values = _attributes.checked_values(attributes, len(surface.mesh.vertices))
-        return cls(*transform_map(surface, values, b, size, threads), kind)
+        colored = _attributes.carried_values(surface.mesh, attributes, carry=carry)
+        assert isinstance(colored, MeshArrays)
+        return cls(*transform_map(surface, colored, b, size, threads), kind)
 
     @property
     def center(self) -> Float64Array:
@@ -177,16 +174,14 @@ class ConformalShape(HarmonicShape):
             >>> np.allclose(shape.attribute("height", directions), positions[:, 2])
             True
         """
-        if name not in self.attributes:
-            known = ", ".join(map(repr, self.attributes)) or "none"
-            raise ValueError(f"the shape has no attribute {name!r}; it has {known}")
-        values = _decoding.values_at(self.attributes[name], directions)
-        return np.clip(values, 0, 1) if name == COLORS else values
+        return _attributes.shown(name, _decoding.values_at(_attributes.attribute_of(self.attributes, name), directions))
 
     def mesh_arrays(
         self, resolution: int | None = None, *, triangulation: Triangulation = "icosphere"
     ) -> tuple[MeshArrays, Float64Array]:
         """Return the surface as arrays: a closed mesh of genus 0, and its vertex normals (v, 3).
+
+        The mesh has them too, and the colours and other attributes that the shape carries.
 
         See ``to_triangle_mesh``.
 
@@ -196,7 +191,8 @@ class ConformalShape(HarmonicShape):
             ((642, 3), (642, 3))
         """
         sphere, mesh = self._decoded(resolution, triangulation)
-        return mesh, self._normals(sphere)
+        normals = self._normals(sphere)
+        return with_values(mesh, self._values(sphere), normals=normals), normals
 
     def to_triangle_mesh(
         self,
@@ -207,8 +203,8 @@ class ConformalShape(HarmonicShape):
     ) -> Any:
         """Decode to an Open3D ``TriangleMesh`` with vertex normals from the analytic gradient.
 
-        The mesh is closed, manifold, oriented as the input and of genus 0. It has the colours that the shape carries,
-        and a tensor mesh all other attributes too.
+        The mesh is closed, manifold, oriented as the input and of genus 0. It has the colours and texture coordinates
+        that the shape carries, and a tensor mesh all other attributes too.
 
         Args:
             resolution: About how many vertices; 24b², within reason, if not given.
@@ -220,14 +216,8 @@ class ConformalShape(HarmonicShape):
             >>> shape.to_triangle_mesh(500, triangulation="fibonacci")
             TriangleMesh with 500 points and 996 triangles.
         """
-        chosen = chosen_kind(kind, self.kind)
-        sphere, arrays = self._decoded(resolution, triangulation)
-        carried = {name: self.attribute(name, sphere) for name in self.attributes}
-        mesh = open3d_mesh(arrays, chosen, normals=self._normals(sphere), colors=carried.pop(COLORS, None))
-        if chosen == "tensor":
-            for name, values in carried.items():
-                mesh.vertex[name] = open3d().core.Tensor(np.ascontiguousarray(values))
-        return mesh
+        mesh, _ = self.mesh_arrays(resolution, triangulation=triangulation)
+        return open3d_mesh(mesh, chosen_kind(kind, self.kind))
 
     def level_of_detail(
         self, bandwidths: Sequence[int] | None = None, *, kind: GeometryKind | None = None
@@ -247,7 +237,7 @@ class ConformalShape(HarmonicShape):
         return {b: self.truncated(b).to_triangle_mesh(_decoding.level_resolution(b), kind=kind) for b in bandwidths}
 
     def to_point_cloud(self, n: int = 10_000, *, kind: GeometryKind | None = None) -> Any:
-        """Decode to an Open3D ``PointCloud`` of n points spread evenly over the surface, with normals and colours.
+        """Decode to an Open3D ``PointCloud`` of n points spread evenly over the surface, with normals, attributes.
 
         Example:
             >>> shape.to_point_cloud(500)
@@ -258,8 +248,8 @@ class ConformalShape(HarmonicShape):
         points, triangle = area_samples(mesh, count)
         inner = _decoding.interpolation(mesh, points, triangle)
         normals = _decoding.unit_rows(inner @ self._normals(sphere))
-        colors = inner @ self.attribute(COLORS, sphere) if COLORS in self.attributes else None
-        return open3d_point_cloud(PointArrays(points, normals, colors), chosen_kind(kind, self.kind))
+        values = {name: np.asarray(inner @ array) for name, array in self._values(sphere).items()}
+        return open3d_point_cloud(with_point_values(points, normals, values), chosen_kind(kind, self.kind))
 
     def compute_feature(self) -> Any:
         """Return the energies per degree, pooled over x, y and z, as an Open3D ``Feature`` of shape (b, 1).
@@ -310,9 +300,8 @@ class ConformalShape(HarmonicShape):
         turned[:, 0] = self.coefficients[:, 0]
         return replace(self, coefficients=turned)
 
-    def _changed(self, change: Callable[[Float64Array], FloatArray], **others: Any) -> ConformalShape:
-        carried = {name: np.asarray(change(coefficients), np.float64) for name, coefficients in self.attributes.items()}
-        return super()._changed(change, attributes=carried, **others)
+    def _values(self, sphere: SphericalGrid) -> dict[str, Float64Array]:
+        return {name: self.attribute(name, sphere) for name in self.attributes}
 
     def _decoded(self, resolution: int | None, triangulation: Triangulation) -> tuple[SphericalGrid, MeshArrays]:
         points = _decoding.usual_resolution(self.bandwidth) if resolution is None else resolution

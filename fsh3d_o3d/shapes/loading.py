@@ -45,7 +45,8 @@ def load_shape(path: str | os.PathLike[str]) -> RadialShape | ShellShape | Confo
 def _value(path: str | os.PathLike[str], arrays: dict[str, Any], field: Field[Any]) -> Any:
     """What a file holds for a field; the shape itself checks shapes and numbers."""
     if field.name == "attributes":
-        return attributes_from_arrays(path, arrays)
+        radii = arrays.get("radii")
+        return attributes_from_arrays(path, arrays, None if radii is None else radii.size)
     name = STORED_NAMES.get(field.name, field.name)
     if name not in arrays:
         if name == "geometry":

@@ -8,13 +8,11 @@ ones, where a transform at 2b, 4b or 8b truncated to b did the same. What is los
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.geometry import UnitCube
+from fsh3d_o3d.geometry import COLORS, TEXTURE_UVS, MeshArrays, UnitCube
 from fsh3d_o3d.shapes.decoding import moved
 from fsh3d_o3d.sphere import SphericalHarmonicTransform, fibonacci_grid, grid_size
 from fsh3d_o3d.sphere_map import SphericalMap, locate
@@ -28,18 +26,25 @@ def checked_size(bandwidth: int, oversampling: float | None) -> int:
 
 
 def transform_map(
-    surface: SphericalMap, values: Mapping[str, Float64Array], bandwidth: int, size: int, threads: int | None
+    surface: SphericalMap, mesh: MeshArrays, bandwidth: int, size: int, threads: int | None
 ) -> tuple[Float64Array, dict[str, Float64Array]]:
-    """Return the coefficients of the positions (3, b²), and those (b²,), (k, b²) of values (v,), (v, k) at vertices."""
-    mesh = surface.mesh
+    """Return the coefficients of the positions (3, b²), and those (b²,) or (k, b²) of what else ``mesh`` has.
+
+    That is the mesh of ``surface``, perhaps with other values at its vertices.
+    """
     transform = SphericalHarmonicTransform(bandwidth, grid=fibonacci_grid(size), threads=threads)
     triangle, weights = locate(surface.positions, mesh.triangles, transform.grid.directions)
     corners = mesh.triangles[triangle]
 
-    def transformed(at_vertices: Float64Array) -> Float64Array:
-        samples = np.einsum("mk,mk...->...m", weights, at_vertices[corners])
+    def transformed(at_corners: Float64Array) -> Float64Array:
+        samples = np.einsum("mk,mk...->...m", weights, at_corners)
         return np.asarray(transform.forward(samples), dtype=np.float64)
 
     cube = UnitCube.around(mesh.vertices)  # so that neither a far-off origin nor extreme units cost digits
-    positions = moved(transformed(cube.to_unit(mesh.vertices)) * cube.scale, cube.origin)
+    positions = moved(transformed(cube.to_unit(mesh.vertices)[corners]) * cube.scale, cube.origin)
+    values = {name: array[corners] for name, array in mesh.attributes.items()}
+    if mesh.colors is not None:
+        values[COLORS] = mesh.colors[corners]
+    if mesh.texture_uvs is not None:
+        values[TEXTURE_UVS] = mesh.texture_uvs[triangle]
     return positions, {name: transformed(array) for name, array in values.items()}

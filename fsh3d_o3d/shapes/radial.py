@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import field
 from typing import Any, Literal
 
 import numpy as np
@@ -19,8 +21,12 @@ from fsh3d_o3d.geometry import (
     geometry_arrays,
     open3d_mesh,
     open3d_point_cloud,
+    values_near,
+    with_point_values,
+    with_values,
 )
 from fsh3d_o3d.radial import Behaviour, cloud_center, fit_radial_cloud, sample_radial, star_center
+from fsh3d_o3d.shapes import attributes as _attributes
 from fsh3d_o3d.shapes.decoding import Triangulation, decoding_sphere, usual_resolution
 from fsh3d_o3d.shapes.shape import HarmonicShape, feature_of
 from fsh3d_o3d.sphere import (
@@ -58,6 +64,9 @@ class RadialShape(HarmonicShape):
     """(3,) where r is measured from. Read-only."""
     kind: GeometryKind = "legacy"
     """Which Open3D objects it becomes unless told otherwise: those it came from."""
+    attributes: Mapping[str, Float64Array] = field(default_factory=dict)
+    """Coefficients (b²,) or (k, b²) of what belongs to the surface by name; ``"colors"`` (3, b²) are colours in [0, 1].
+    Read-only."""
 
     def __post_init__(self) -> None:
         coefficients, _ = check.coefficients(self.coefficients)
@@ -69,6 +78,9 @@ class RadialShape(HarmonicShape):
         for name, array in (("coefficients", coefficients), ("center", center)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+        object.__setattr__(
+            self, "attributes", _attributes.checked_coefficients(self.attributes, self.coefficients.shape)
+        )
 
     @classmethod
     def from_geometry(
@@ -77,6 +89,8 @@ class RadialShape(HarmonicShape):
         bandwidth: int = 64,
         center: object | CenterName | None = None,
         *,
+        attributes: Mapping[str, Any] | None = None,
+        carry: bool = True,
         oversampling: float | None = None,
         behaviour: Behaviour = "error",
         smoothness: float | None = None,
@@ -86,14 +100,16 @@ class RadialShape(HarmonicShape):
 
         A mesh is sampled by rays in the 4b²·``oversampling`` directions of a Fibonacci grid and transformed with
         analytic weights. A cloud is fitted robustly: noise is averaged, outliers are given up, holes are filled
-        smoothly.
+        smoothly. Colours and all other attributes of vertices and points become functions on the sphere, too.
 
         Args:
-            geometry: Open3D triangle mesh or point cloud, legacy or tensor (or ``MeshArrays``, ``PointArrays``).
+            geometry: Mesh or point cloud, as ``from_any`` takes it.
             bandwidth: b; the shape has b² coefficients.
             center: (3,), or for meshes ``"centroid"`` (of the volume), ``"best"`` (the middle of the points that see
                 the whole surface, or else the one that sees most), or ``"auto"``/None: the centroid where it sees
                 all, else the best. For clouds a (3,), or None for a robust estimate.
+            attributes: Further values (v,) or (v, k) at the vertices or points by name, to be carried along.
+            carry: Whether the geometry's own colours, texture coordinates and attributes are carried along.
             oversampling: For meshes, directions in units of 4b²; 1.5 if not given.
             behaviour: For meshes, what to do with directions that meet the surface more than once or never:
                 ``"error"``, ``"outermost"`` or ``"innermost"``.
@@ -119,6 +135,7 @@ class RadialShape(HarmonicShape):
         """
         b = check.bandwidth(bandwidth)
         arrays, kind = geometry_arrays(geometry)
+        source = _attributes.carried_values(arrays, attributes, carry=carry)
         if isinstance(arrays, PointArrays):
             if isinstance(center, str) and center != "auto":
                 raise ValueError(f'center must be a (3,) point or "auto" for point clouds, got {center!r}')
@@ -126,14 +143,17 @@ class RadialShape(HarmonicShape):
                 cloud_center(arrays) if center is None or isinstance(center, str) else check.point(center, "center")
             )
             fit = fit_radial_cloud(arrays, b, middle, smoothness=smoothness, threads=threads)
-            return cls(fit.coefficients, middle, kind)
+            sphere = SphericalHarmonicTransform(b, threads=threads)
+            radii = np.asarray(evaluate(fit.coefficients, sphere.grid), dtype=np.float64)
+            return cls(fit.coefficients, middle, kind, _carried(source, sphere, radii, middle))
         size = grid_size(b, oversampling)
         check.memory(600.0 * size + 2000.0 * b * b, f"a radial function of bandwidth {b} on {size} directions")
         grid = fibonacci_grid(size)
         middle = _mesh_center(arrays, center)
         radii = sample_radial(arrays, grid.directions, middle, behaviour=behaviour).radii
         transform = SphericalHarmonicTransform(b, grid=grid, threads=threads)
-        return cls(np.asarray(transform.forward(radii), dtype=np.float64), middle, kind)
+        coefficients = np.asarray(transform.forward(radii), dtype=np.float64)
+        return cls(coefficients, middle, kind, _carried(source, transform, radii, middle))
 
     @property
     def volume(self) -> float:
@@ -155,10 +175,27 @@ class RadialShape(HarmonicShape):
         """
         return np.asarray(evaluate(self.coefficients, directions, threads=threads), dtype=np.float64)
 
+    def attribute(self, name: str, directions: object) -> Float64Array:
+        """Return an attribute at unit vectors (m, 3): (m,) or (m, k) as it was given. Colours are clipped to [0, 1].
+
+        Raises:
+            ValueError: There is no such attribute.
+
+        Example:
+            >>> ball = fsh.read_geometry("samples/coloured_ball.pcd")
+            >>> colored = fsh.RadialShape.from_geometry(ball, bandwidth=8)
+            >>> colored.attribute("colors", [[0, 0, 1], [0, 0, -1]]).shape
+            (2, 3)
+        """
+        values = evaluate(_attributes.attribute_of(self.attributes, name), directions)
+        return _attributes.shown(name, np.asarray(values, dtype=np.float64).T)
+
     def mesh_arrays(
         self, resolution: int | None = None, *, triangulation: Triangulation = "icosphere"
     ) -> tuple[MeshArrays, Float64Array]:
         """Return the surface as arrays: a closed, outward-oriented mesh of genus 0, and its vertex normals (v, 3).
+
+        The mesh has them too, and the colours and other attributes that the shape carries.
 
         See ``to_triangle_mesh``.
 
@@ -169,8 +206,9 @@ class RadialShape(HarmonicShape):
         """
         points = usual_resolution(self.bandwidth) if resolution is None else resolution
         directions, triangles = decoding_sphere(points, triangulation)
-        vertices, normals = self._surface(grid_from_directions(directions))
-        return MeshArrays(vertices, triangles), normals
+        sphere = grid_from_directions(directions)
+        vertices, normals = self._surface(sphere)
+        return with_values(MeshArrays(vertices, triangles), self._values(sphere), normals=normals), normals
 
     def to_triangle_mesh(
         self,
@@ -181,7 +219,8 @@ class RadialShape(HarmonicShape):
     ) -> Any:
         """Decode to an Open3D ``TriangleMesh`` with vertex normals from the analytic gradient.
 
-        The mesh is closed, manifold, outward-oriented and of genus 0, with no degenerate triangle at the poles.
+        The mesh is closed, manifold, outward-oriented and of genus 0, with no degenerate triangle at the poles. It has
+        the colours and texture coordinates that the shape carries, and a tensor mesh all other attributes too.
 
         Args:
             resolution: About how many vertices; 24b², within reason, if not given.
@@ -198,11 +237,11 @@ class RadialShape(HarmonicShape):
             >>> shape.to_triangle_mesh(1000).is_watertight()
             True
         """
-        mesh, normals = self.mesh_arrays(resolution, triangulation=triangulation)
-        return open3d_mesh(mesh, chosen_kind(kind, self.kind), normals=normals)
+        mesh, _ = self.mesh_arrays(resolution, triangulation=triangulation)
+        return open3d_mesh(mesh, chosen_kind(kind, self.kind))
 
     def to_point_cloud(self, n: int = 10_000, *, kind: GeometryKind | None = None) -> Any:
-        """Decode to an Open3D ``PointCloud`` of n points in Fibonacci directions, with normals.
+        """Decode to an Open3D ``PointCloud`` of n points in Fibonacci directions, with normals and attributes.
 
         Raises:
             GeometryError: The radial function is not positive everywhere.
@@ -211,8 +250,11 @@ class RadialShape(HarmonicShape):
             >>> shape.to_point_cloud(500)
             PointCloud with 500 points.
         """
-        points, normals = self._surface(fibonacci_grid(n))
-        return open3d_point_cloud(PointArrays(points, normals), chosen_kind(kind, self.kind))
+        sphere = fibonacci_grid(n)
+        points, normals = self._surface(sphere)
+        return open3d_point_cloud(
+            with_point_values(points, normals, self._values(sphere)), chosen_kind(kind, self.kind)
+        )
 
     def compute_feature(self) -> Any:
         """Return the energies per degree as an Open3D ``Feature`` of shape (b, 1).
@@ -225,6 +267,9 @@ class RadialShape(HarmonicShape):
         """
         return feature_of(degree_energies(self.coefficients)[:, None])
 
+    def _values(self, sphere: SphericalGrid) -> dict[str, Float64Array]:
+        return {name: self.attribute(name, sphere) for name in self.attributes}
+
     def _surface(self, grid: SphericalGrid) -> tuple[Float64Array, Float64Array]:
         """Positions and outward unit normals in the directions of a grid."""
         radii = self.evaluate(grid)
@@ -236,6 +281,15 @@ class RadialShape(HarmonicShape):
         normals = radii[:, None] * grid.directions - evaluate_gradient(self.coefficients, grid)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         return self.center + radii[:, None] * grid.directions, normals
+
+
+def _carried(
+    source: MeshArrays | PointArrays, transform: SphericalHarmonicTransform, radii: Float64Array, center: Float64Array
+) -> dict[str, Float64Array]:
+    """Return the coefficients of what the source has where r(ω)ω is closest to it."""
+    directions = transform.grid.directions
+    values = values_near(source, center + radii[:, None] * directions)
+    return {name: np.asarray(transform.forward(array.T), dtype=np.float64) for name, array in values.items()}
 
 
 def _mesh_center(mesh: MeshArrays, center: object | CenterName | None) -> Float64Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -33,6 +33,10 @@ class Shape(Protocol):
         """(…, b²) of real orthonormal harmonics, index l² + l + m."""
 
     @property
+    def attributes(self) -> Mapping[str, Any]:
+        """Coefficients of what belongs to the surface, such as ``"colors"``, by name: as many for each function."""
+
+    @property
     def center(self) -> Float64Array:
         """(3,) what ``rotated`` turns about, in the units of the input."""
 
@@ -50,13 +54,21 @@ class Shape(Protocol):
         geometry: Any,
         bandwidth: int = ...,
         *,
+        attributes: Mapping[str, Any] | None = None,
+        carry: bool = True,
         oversampling: float | None = None,
         threads: int | None = None,
     ) -> Self:
-        """Encode Open3D geometry, legacy or tensor; the default bandwidth is one that suits the kind of shape."""
+        """Encode geometry, as ``from_any`` takes it, with what belongs to its vertices unless ``carry`` is False.
+
+        The default bandwidth is one that suits the kind of shape.
+        """
 
     def evaluate(self, where: object, /, *, threads: int | None = None) -> Float64Array:
         """Return the function that the coefficients stand for, at directions or, of a field, at points (m, 3)."""
+
+    def attribute(self, name: str, where: object, /) -> Float64Array:
+        """Return what belongs to the surface at directions or, of a field, at points (m, 3)."""
 
     def mesh_arrays(self, size: int | None = None, /) -> tuple[MeshArrays, Float64Array]:
         """Return the surface as arrays and its vertex normals (v, 3)."""
@@ -65,7 +77,7 @@ class Shape(Protocol):
         """Decode to an Open3D ``TriangleMesh``."""
 
     def to_point_cloud(self, n: int = 10_000, *, kind: GeometryKind | None = None) -> Any:
-        """Decode to an Open3D ``PointCloud`` of n points, with normals."""
+        """Decode to an Open3D ``PointCloud`` of n points, with normals, colours and other attributes."""
 
     def compute_feature(self) -> Any:
         """Return energies per degree as an Open3D ``Feature``."""
@@ -142,12 +154,15 @@ class HarmonicShape:
             >>> bool((fsh.load_shape("shape.npz").coefficients == shape.coefficients).all())
             True
         """
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        attributes = attributes_as_arrays(values.pop("attributes", {}))
+        values = {part.name: getattr(self, part.name) for part in fields(self)}
+        attributes = attributes_as_arrays(values.pop("attributes"), axes=2 if "radii" in values else 1)
         arrays = {storage.STORED_NAMES.get(name, name): np.array(value) for name, value in values.items()}
         storage.write_arrays(path, type(self).__name__, {**arrays, **attributes})
 
     def _changed(self, change: Callable[[Float64Array], FloatArray], **others: Any) -> Self:
+        attributes: Mapping[str, Float64Array] = vars(self)["attributes"]  # a field of each shape, behind its own
+        carried = {name: np.asarray(change(array), dtype=np.float64) for name, array in attributes.items()}
+        others["attributes"] = carried
         return replace(self, coefficients=np.asarray(change(self.coefficients), dtype=np.float64), **others)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,13 +17,16 @@ from fsh3d_o3d.geometry import (
     GEOMETRY_KINDS,
     GeometryKind,
     MeshArrays,
-    PointArrays,
     area_samples,
     chosen_kind,
     geometry_arrays,
     open3d_mesh,
     open3d_point_cloud,
+    values_near,
+    with_point_values,
+    with_values,
 )
+from fsh3d_o3d.shapes import attributes as _attributes
 from fsh3d_o3d.shapes.ball import BallFunction
 from fsh3d_o3d.shapes.cube import ShellVolume, cube_points, cube_resolution
 from fsh3d_o3d.shapes.shape import HarmonicShape, feature_of
@@ -65,6 +70,9 @@ class ShellShape(HarmonicShape):
     """w of the field (see ``volume_field``), in units of ``scale``."""
     kind: GeometryKind = "legacy"
     """Which Open3D objects it becomes unless told otherwise: those it came from."""
+    attributes: Mapping[str, Float64Array] = dataclasses.field(default_factory=dict)
+    """Coefficients (S, b²) or (k, S, b²) of what belongs to the surface by name, continued off it by its closest point;
+    ``"colors"`` (3, S, b²) are colours in [0, 1]. Read-only."""
 
     def __post_init__(self) -> None:
         coefficients, _ = check.coefficients(self.coefficients)
@@ -87,6 +95,9 @@ class ShellShape(HarmonicShape):
             own = np.array(array, dtype=np.float64)
             own.setflags(write=False)
             object.__setattr__(self, name, own)
+        object.__setattr__(
+            self, "attributes", _attributes.checked_coefficients(self.attributes, self.coefficients.shape)
+        )
 
     @classmethod
     def from_geometry(
@@ -98,6 +109,8 @@ class ShellShape(HarmonicShape):
         *,
         center: object | None = None,
         width: float | None = None,
+        attributes: Mapping[str, Any] | None = None,
+        carry: bool = True,
         oversampling: float | None = None,
         threads: int | None = None,
         progress: bool = False,
@@ -106,10 +119,11 @@ class ShellShape(HarmonicShape):
 
         The field is sampled exactly in the 4b²·``oversampling`` directions of a Fibonacci grid on shells from the
         centre to a little beyond the farthest point, and each shell is transformed with analytic weights. For
-        reconstruction use ``field="signed_distance"``.
+        reconstruction use ``field="signed_distance"``. Colours and all other attributes of vertices and points become
+        fields, too: everywhere that of the closest point of the surface.
 
         Args:
-            geometry: Open3D triangle mesh or point cloud, legacy or tensor (or ``MeshArrays``, ``PointArrays``).
+            geometry: Mesh or point cloud, as ``from_any`` takes it.
             bandwidth: b; each shell has b² coefficients. Details finer than about πr/b at radius r are lost.
             shells: S, at least 4. Details finer than about two S-ths of the radius are lost.
             field: ``"gaussian_distance"``, ``"occupancy"`` or ``"signed_distance"``; see ``volume_field``.
@@ -117,6 +131,8 @@ class ShellShape(HarmonicShape):
             width: w of the field in units of the farthest distance from the centre. If not given 0.1 for distances
                 and 0.02 for occupancy, but no less than what the shells resolve. ``math.inf`` keeps
                 the signed distance as it is.
+            attributes: Further values (v,) or (v, k) at the vertices or points by name, to be carried along.
+            carry: Whether the geometry's own colours, texture coordinates and attributes are carried along.
             oversampling: Directions in units of 4b²; 1.5 if not given.
             threads: Number of threads, or None for all that the process may use. Does not change the result.
             progress: Show a bar on standard error if that is a terminal.
@@ -140,21 +156,25 @@ class ShellShape(HarmonicShape):
         check.memory(160.0 * size * count + 2000.0 * b * b, f"{count} shells of bandwidth {b} on {size} directions")
         if width is None:
             width = max(0.02, 1.0 / count) if field == "occupancy" else max(0.1, 2.0 / count)
-        source = volume_field(geometry, field, center=center, width=width)
+        arrays, kind = geometry_arrays(geometry)
+        colored = _attributes.carried_values(arrays, attributes, carry=carry)
+        source = volume_field(arrays, field, center=center, width=width)
         # Room for at least a shell beyond the surface, and for the iso-surface of the Gaussian, w away from it.
         margin = max(_MARGIN, 1.5 / count) + (1.25 * source.width if field == "gaussian_distance" else 0.0)
         radii = np.arange(1.0, count + 1) * ((1 + margin) / count)
         grid = fibonacci_grid(size)
         # Out along each direction, so that neighbours share their side of the surface.
+        places = grid.directions[:, None] * radii[:, None]
         with tqdm(total=1.0, desc="sampling", leave=False, disable=not (progress and sys.stderr.isatty())) as bar:
-            samples = source.sample(
-                grid.directions[:, None] * radii[:, None],
-                threads=threads,
-                progress=lambda share: bar.update(share - bar.n),
-            ).T
+            samples = source.sample(places, threads=threads, progress=lambda share: bar.update(share - bar.n)).T
         transform = SphericalHarmonicTransform(b, grid=grid, threads=threads)
         coefficients = np.asarray(transform.forward(samples), dtype=np.float64)
-        return cls(coefficients, radii, field, source.center, source.scale, source.width, geometry_arrays(geometry)[1])
+        values = values_near(colored, places.reshape(-1, 3) * source.scale + source.center)
+        carried = {
+            name: np.asarray(transform.forward(array.reshape(size, count, *array.shape[1:]).T), dtype=np.float64)
+            for name, array in values.items()
+        }
+        return cls(coefficients, radii, field, source.center, source.scale, source.width, kind, carried)
 
     @property
     def level(self) -> float:
@@ -171,8 +191,23 @@ class ShellShape(HarmonicShape):
             >>> bool((shape.evaluate(on_surface) > shape.evaluate(on_surface + 0.3)).all())
             True
         """
-        positions = check.vectors(points, "points")
-        return self._ball()(positions / self.scale - self.center / self.scale, threads=threads)
+        return self._ball()(self._local(points), threads=threads)
+
+    def attribute(self, name: str, points: object) -> Float64Array:
+        """Return an attribute at points (n, 3) in the coordinates of the input: (n,) or (n, k) as it was given.
+
+        Colours are clipped to [0, 1].
+
+        Raises:
+            ValueError: There is no such attribute.
+
+        Example:
+            >>> heights = np.asarray(knot.vertices)[:, 2]
+            >>> tall = fsh.ShellShape.from_geometry(knot, bandwidth=8, shells=12, attributes={"height": heights})
+            >>> tall.attribute("height", on_surface).shape
+            (4,)
+        """
+        return self._attribute(name, self._local(points))
 
     def to_volume(self, points_per_side: int | None = None, *, threads: int | None = None) -> ShellVolume:
         """Return the field on the cubic grid of ``points_per_side``³ points around the outermost shell.
@@ -206,6 +241,8 @@ class ShellShape(HarmonicShape):
     ) -> tuple[MeshArrays, Float64Array]:
         """Return the iso-surface as arrays: a closed, outward-oriented mesh, and its vertex normals (v, 3).
 
+        The mesh has them too, and the colours and other attributes that the shape carries.
+
         See ``to_triangle_mesh``.
 
         Example:
@@ -225,8 +262,9 @@ class ShellShape(HarmonicShape):
         mesh, normals = zero_surface(outside.reshape(n, n, n))
         if share > 0:
             mesh, normals = without_specks(mesh, normals, share)
-        vertices = (mesh.vertices * (2 * reach / (n - 1)) - reach) * self.scale + self.center
-        return MeshArrays(vertices, mesh.triangles), normals
+        local = mesh.vertices * (2 * reach / (n - 1)) - reach
+        surface = MeshArrays(local * self.scale + self.center, mesh.triangles)
+        return with_values(surface, self._values(local), normals=normals), normals
 
     def to_triangle_mesh(
         self,
@@ -239,7 +277,8 @@ class ShellShape(HarmonicShape):
     ) -> Any:
         """Decode to an Open3D ``TriangleMesh``: the iso-surface of the field, of any topology.
 
-        The mesh is closed, manifold and outward-oriented, with vertex normals from the field's gradient. A Gaussian of
+        The mesh is closed, manifold and outward-oriented, with vertex normals from the field's gradient, the colours
+        and texture coordinates that the shape carries, and, a tensor mesh, all other attributes too. A Gaussian of
         the distance has no inside; its surface is that of everything within ``width`` of the input.
 
         Args:
@@ -257,11 +296,11 @@ class ShellShape(HarmonicShape):
             >>> shape.to_triangle_mesh(32, smallest=0.05).is_watertight()  # without crumbs
             True
         """
-        mesh, normals = self.mesh_arrays(points_per_side, level=level, smallest=smallest, threads=threads)
-        return open3d_mesh(mesh, chosen_kind(kind, self.kind), normals=normals)
+        mesh, _ = self.mesh_arrays(points_per_side, level=level, smallest=smallest, threads=threads)
+        return open3d_mesh(mesh, chosen_kind(kind, self.kind))
 
     def to_point_cloud(self, n: int = 10_000, *, kind: GeometryKind | None = None) -> Any:
-        """Decode to an Open3D ``PointCloud`` of n points spread evenly over the iso-surface, with normals.
+        """Decode to an Open3D ``PointCloud`` of n points spread evenly over the iso-surface, with normals, attributes.
 
         Raises:
             GeometryError: The field does not cross its level.
@@ -275,7 +314,8 @@ class ShellShape(HarmonicShape):
         points, triangle = area_samples(mesh, count)
         facing = normals[mesh.triangles[triangle]].sum(axis=1)
         facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
-        return open3d_point_cloud(PointArrays(points, facing), chosen_kind(kind, self.kind))
+        values = self._values(self._local(points))
+        return open3d_point_cloud(with_point_values(points, facing, values), chosen_kind(kind, self.kind))
 
     def compute_feature(self) -> Any:
         """Return the energies per degree and shell as an Open3D ``Feature`` of shape (b, S).
@@ -288,5 +328,19 @@ class ShellShape(HarmonicShape):
         """
         return feature_of(degree_energies(self.coefficients).T)
 
-    def _ball(self) -> BallFunction:
-        return BallFunction(self.coefficients, float(self.radii[-1]) / len(self.radii))
+    def _ball(self, coefficients: Float64Array | None = None) -> BallFunction:
+        rows = self.coefficients if coefficients is None else coefficients
+        return BallFunction(rows, float(self.radii[-1]) / len(self.radii))
+
+    def _local(self, points: object) -> Float64Array:
+        """Points (n, 3) in the frame of the shells, in units of ``scale``."""
+        return np.asarray(check.vectors(points, "points") / self.scale - self.center / self.scale)
+
+    def _attribute(self, name: str, local: Float64Array) -> Float64Array:
+        coefficients = _attributes.attribute_of(self.attributes, name)
+        if coefficients.ndim == 2:
+            return self._ball(coefficients)(local)
+        return _attributes.shown(name, np.stack([self._ball(rows)(local) for rows in coefficients], axis=1))
+
+    def _values(self, local: Float64Array) -> dict[str, Float64Array]:
+        return {name: self._attribute(name, local) for name in self.attributes}

@@ -135,7 +135,7 @@ def volume_field(
     parts count once. A closed part inside another that is wound inward is a cavity.
 
     Args:
-        geometry: Open3D triangle mesh or point cloud, legacy or tensor, ``MeshArrays`` or ``PointArrays``. Clouds need
+        geometry: Mesh or point cloud, as ``from_any`` takes it. Clouds need
             normals (any sign, as long as they agree) unless the field is ``gaussian_distance``.
         field: ``"signed_distance"``, ``"occupancy"`` or ``"gaussian_distance"``.
         center: (3,) origin of the frame; the centroid of the area, or of a cloud's occupied cells, if not given.

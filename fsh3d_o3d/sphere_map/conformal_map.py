@@ -81,7 +81,7 @@ def conformal_map(mesh: Any, option: ConformalMapOption | None = None) -> Spheri
     The same input and option give the same bytes.
 
     Args:
-        mesh: ``MeshArrays``, or an Open3D triangle mesh, legacy or tensor. Equal vertices are merged and the surface is
+        mesh: Triangle mesh, as ``from_any`` takes it. Equal vertices are merged and the surface is
             turned outwards first; triangles without area are mapped like others.
         option: See ``ConformalMapOption``.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fsh3d_o3d._validation import IntArray
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry import EdgeTable, MeshArrays, MeshMeasures, measure_mesh, oriented, proper, weld_map
+from fsh3d_o3d.geometry import EdgeTable, MeshArrays, MeshMeasures, measure_mesh, oriented, weld_map, without_collapsed
 
 __all__ = ["mapping_obstacles"]
 
@@ -61,7 +61,7 @@ def _closed_surface(mesh: MeshArrays) -> ClosedSurface | tuple[str, ...]:
     if measures.genus == 0:
         return ClosedSurface(_outward(welded, measures), source)
     if np.count_nonzero(mesh.used) > len(welded.vertices):  # there was something to weld: without, it may hold together
-        compact, source = MeshArrays(mesh.vertices, proper(mesh.triangles)).compact()
+        compact, source = without_collapsed(mesh).compact()
         as_indexed = _measured(compact)
         if as_indexed.genus == 0:
             return ClosedSurface(_outward(compact, as_indexed), source)

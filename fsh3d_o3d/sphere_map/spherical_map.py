@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal
 
 from fsh3d_o3d._validation import Float64Array, IntArray
@@ -52,5 +53,5 @@ class SphericalMap:
             on_sphere: Put the vertices where they lie on the unit sphere: the map itself.
             kind: ``"legacy"`` or ``"tensor"``; that of the input if not given.
         """
-        mesh = MeshArrays(self.positions, self.mesh.triangles) if on_sphere else self.mesh
+        mesh = replace(self.mesh, vertices=self.positions, normals=None) if on_sphere else self.mesh
         return open3d_mesh(mesh, chosen_kind(kind, self.kind))

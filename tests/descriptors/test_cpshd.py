@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d.descriptors.shd import CPSHDOption, compute_cpshd_feature, cpshd_descriptor, descriptor_distances
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, open3d_mesh
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, open3d_mesh
 from fsh3d_o3d.sphere.grids import equiangular_grid, fibonacci_grid
 from fsh3d_o3d.sphere.icosahedron import icosphere
 from fsh3d_o3d.sphere.weights import driscoll_healy_weights, equal_weights

@@ -17,7 +17,7 @@ from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d.descriptors.shd import SHDOption, compute_shd_feature, descriptor_distances, shd_descriptor
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files.reading import read_geometry_arrays
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, open3d_mesh
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, open3d_mesh
 from fsh3d_o3d.geometry.measures import area_samples
 from fsh3d_o3d.sphere.grids import equiangular_grid, fibonacci_grid
 from fsh3d_o3d.sphere.invariants import energies, gram_powers

@@ -144,7 +144,7 @@ def test_same_geometry_same_bytes(tmp_path):
         ("a", MESH, ValueError, "without extension"),
         ("a.pcd", MESH, ValueError, r"\.pcd cannot hold a mesh; choose"),
         ("a.obj", CLOUD, ValueError, r"\.obj cannot hold a point cloud"),
-        ("a.ply", np.zeros((3, 3)), TypeError, "geometry must be"),
+        ("a.ply", {"points": [0, 0, 0]}, TypeError, "geometry must be"),
         ("a.stl", MeshArrays(mutations.VERTICES * 1e60, mutations.TRIANGLES), ValueError, "float32"),
         ("a.glb", MeshArrays(mutations.VERTICES * 1e60, mutations.TRIANGLES), ValueError, "float32"),
         ("a.pcd", PointArrays(mutations.VERTICES * 1e60), ValueError, "float32"),

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import MeshArrays, geometry_arrays
+from fsh3d_o3d.geometry import MeshArrays, geometry_arrays
 from fsh3d_o3d.geometry.measures import area_samples, enclosed_volume, measure_mesh, oriented, weld
 from tests.geometry import mesh_shapes as shapes
 

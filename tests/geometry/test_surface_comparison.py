@@ -203,8 +203,10 @@ def test_vertex_distances_for_colour_maps():
 
 def test_what_cannot_be_measured_is_refused():
     box = shapes.box()
+    with pytest.raises(FileNotFoundError):
+        surface_error(box, "no such box.obj")
     with pytest.raises(TypeError, match="TriangleMesh or PointCloud"):
-        surface_error(box, "box.obj")
+        surface_error(box, 1.0)
     with pytest.raises(ValueError, match="samples"):
         surface_error(box, box, samples=0)
     line = MeshArrays(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[0, 0, 1]]))

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fsh3d_o3d.errors import GeometryError, NotStarShapedError
-from fsh3d_o3d.geometry.arrays import MeshArrays, geometry_arrays
+from fsh3d_o3d.geometry import MeshArrays, geometry_arrays
 from fsh3d_o3d.geometry.rays import UnitScene
 from fsh3d_o3d.radial.mesh import sample_radial
 from fsh3d_o3d.sphere.grids import fibonacci_grid

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d.files.reading import read_geometry_arrays
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, open3d_mesh, open3d_point_cloud
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, open3d_mesh, open3d_point_cloud
 from fsh3d_o3d.geometry.measures import area_samples
 from fsh3d_o3d.registration.fit import Poses, Side, refine, weakest_axis
 from fsh3d_o3d.registration.surface import plain_surface, shell_coefficients

@@ -221,7 +221,7 @@ def test_width_height_and_background():
         ({"normals": np.zeros(3)}, ValueError),
         ({"background": "white"}, TypeError),
         ({"background": (0, 0, 3)}, ValueError),
-        ({"around": "ball"}, TypeError),
+        ({"around": 1.0}, TypeError),
     ],
 )
 def test_bad_arguments_are_refused(options, error):
@@ -234,7 +234,7 @@ def test_geometry_without_extent_is_refused():
     with pytest.raises(GeometryError, match="extent"):
         render(PointArrays([[1.0, 2, 3]] * 5))
     with pytest.raises(TypeError):
-        render("bunny")
+        render(object())
 
 
 def test_two_points_and_flat_triangles_are_drawn():

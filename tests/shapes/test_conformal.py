@@ -236,8 +236,9 @@ def test_kind_of_geometry_and_colours_are_kept(star, kind):
     else:
         mesh.vertex.colors = o3d.core.Tensor((255 * colors).round().astype(np.uint8))
     height = star.vertices[:, 2]
-    shape = fsh.ConformalShape.from_geometry(mesh, 16, colors=True, attributes={"height": height})
+    shape = fsh.ConformalShape.from_geometry(mesh, 16, attributes={"height": height})
     assert shape.kind == kind
+    assert list(fsh.ConformalShape.from_geometry(mesh, 4, carry=False).attributes) == []
     module = o3d.geometry if kind == "legacy" else o3d.t.geometry
     decoded, cloud = shape.to_triangle_mesh(3000), shape.to_point_cloud(500)
     assert isinstance(decoded, module.TriangleMesh)
@@ -348,7 +349,6 @@ def test_bad_parts_name_themselves(arguments, message):
     [
         ({"bandwidth": 0}, "bandwidth must be between 1 and"),
         ({"oversampling": 0.5}, "oversampling must be"),
-        ({"colors": True}, "no vertex colors"),
         ({"attributes": {"x": [1.0, 2.0]}}, r"attribute 'x' must have shape \(v,\)"),
         ({"attributes": {"colors": np.zeros(6)}}, r"attribute 'colors' must have shape \(v, 3\)"),
         ({"attributes": {"x": np.full(6, np.inf)}}, "attribute 'x' must be finite"),
@@ -364,7 +364,9 @@ def test_bad_types_and_geometry_name_themselves(shape):
     with pytest.raises(TypeError, match="point cloud"):
         fsh.ConformalShape.from_geometry(shape.to_point_cloud(50))
     with pytest.raises(TypeError, match="TriangleMesh or PointCloud"):
-        fsh.ConformalShape.from_geometry("bunny.ply")
+        fsh.ConformalShape.from_geometry(object())
+    with pytest.raises(TypeError, match="carry must be True or False"):
+        fsh.ConformalShape.from_geometry(OCTAHEDRON, carry="colors")
     with pytest.raises(TypeError, match="attributes must be a mapping"):
         fsh.ConformalShape(np.zeros((3, 4)), [np.zeros(4)])
     with pytest.raises(TypeError, match="name must be text"):

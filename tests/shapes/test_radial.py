@@ -196,7 +196,9 @@ def test_bad_arguments_name_themselves(shape, arguments, message):
 
 def test_bad_geometry_names_itself():
     with pytest.raises(TypeError, match="TriangleMesh or PointCloud"):
-        fsh.RadialShape.from_geometry("bunny.ply")
+        fsh.RadialShape.from_geometry(object())
+    with pytest.raises(FileNotFoundError):
+        fsh.RadialShape.from_geometry("no such bunny.ply")
     with pytest.raises(GeometryError, match="empty"):
         fsh.RadialShape.from_geometry(o3d.geometry.TriangleMesh())
     with pytest.raises(GeometryError, match="empty"):

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import fsh3d_o3d as fsh
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, open3d_mesh
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, open3d_mesh
 from fsh3d_o3d.geometry.surface_comparison import surface_error
 from tests.geometry.mesh_shapes import box, sphere, torus
 

@@ -11,7 +11,7 @@ import pytest
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d.errors import GeometryError, GeometryReadError, MemoryEstimateError
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, open3d_mesh
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, open3d_mesh
 from fsh3d_o3d.geometry.measures import measure_mesh
 from fsh3d_o3d.geometry.surface_comparison import surface_error
 from fsh3d_o3d.shapes import storage
@@ -355,4 +355,4 @@ def test_bad_decoding_options(ring, options, error):
 
 def test_not_geometry_is_refused():
     with pytest.raises(TypeError, match="geometry"):
-        ShellShape.from_geometry(np.zeros((3, 3)), 4, 8)
+        ShellShape.from_geometry(object(), 4, 8)
