@@ -12,10 +12,9 @@ import numpy as np
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d._value import value
 from fsh3d_o3d.descriptors.neighbourhoods import Float32Array, neighbourhoods
-from fsh3d_o3d.geometry import voxel_cells, voxel_means
+from fsh3d_o3d.geometry import voxel_cells, voxel_samples
 
 _CELLS = 6.0  # of the lattice that thins the points, to a radius
-_CELL_DIAGONAL = np.sqrt(3.0) / _CELLS  # radii; a mean lies at most so far from a point it stands for
 _LEAST_NEIGHBOURS = 8  # points within the radius; with fewer there is no surface to describe
 
 
@@ -36,7 +35,7 @@ class LocalHarmonics:
     offsets: Float64Array
     """(k,) radii from the key point to the mean of its neighbours along the surface; large at borders."""
     radius: float
-    """What lies farther from a key point has no influence on it."""
+    """Of the surroundings."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -59,10 +58,9 @@ def local_harmonics(
         bandwidth: Degrees 0 … bandwidth − 1.
         shells: Windows of the distance.
     """
-    thinned = voxel_means(points, radius / _CELLS)
+    thinned, areas = voxel_samples(points, radius / _CELLS)
     chosen = _spread(thinned, radius / _CELLS, keypoints) if isinstance(keypoints, int) else keypoints
-    # Windows end short of the radius, so that points beyond it cannot move the mean of a cell within.
-    found = neighbourhoods(thinned, chosen, radius * (1 - _CELL_DIAGONAL), bandwidth=bandwidth, shells=shells)
+    found = neighbourhoods(thinned, areas, chosen, radius, bandwidth=bandwidth, shells=shells)
     kept = found.counts >= _LEAST_NEIGHBOURS
     if isinstance(keypoints, int) and not kept.all():
         chosen, found = chosen[kept], found.take(kept)

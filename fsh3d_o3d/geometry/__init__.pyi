@@ -60,3 +60,4 @@ from .triangulation import fibonacci_triangulation as fibonacci_triangulation
 from .triangulation import sphere_mesh as sphere_mesh
 from .voxels import voxel_cells as voxel_cells
 from .voxels import voxel_means as voxel_means
+from .voxels import voxel_samples as voxel_samples
