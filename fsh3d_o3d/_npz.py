@@ -22,7 +22,7 @@ ENTRY = ".npy"
 _MOST_ENTRIES = 64  # arrays, a choice: far more than the package writes into a file
 _LARGEST_DIRECTORY = 2**16  # bytes, a choice: a kilobyte for each entry, of which names take most
 _LARGEST_HEADER = 1000  # bytes; those of plain arrays have 128
-_CHUNK = 2**20  # bytes at a time, a choice
+_CHUNK = 2**20  # bytes at a time: larger reads are no faster, and so little is lost on a file that lies
 _FREE_BYTES = 64 * 2**20  # a choice, that an array may take however well it is packed
 _LARGEST_RATIO = 100  # of packing, beyond, a choice; noise in the last digits keeps that of measured numbers below 2
 # At the end of a file without a comment: the end of the directory, and before it what an archive beyond 4 GiB has.

@@ -16,7 +16,7 @@ import numpy as np
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d.files import atomic_write_bytes
-from fsh3d_o3d.geometry import MeshArrays
+from fsh3d_o3d.geometry import MeshArrays, triangle_normals
 from fsh3d_o3d.report import encode_png, render_thumbnail, side_by_side
 
 SAMPLES = Path(__file__).parents[1] / "samples"
@@ -46,8 +46,7 @@ def main() -> int:
         )
         # The colour of a place tells its normal on the surface; triangles have corners of their own to stay crisp.
         corners = surface.mesh.triangles.ravel()
-        sides = surface.mesh.vertices[surface.mesh.triangles]
-        facing = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
+        facing = triangle_normals(surface.mesh.vertices[surface.mesh.triangles])
         facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
         tint = np.repeat(0.5 + 0.5 * facing, 3, axis=0)
         loose = np.arange(len(corners)).reshape(-1, 3)

@@ -11,9 +11,12 @@ import hypothesis
 import numpy as np
 import pytest
 
-# A shell that runs this in the background makes it and its children deaf to Ctrl-C, which some tests send to theirs.
+# A shell that runs this in the background makes it and its children deaf to Ctrl-C, and `nohup` to the end of a
+# terminal. Some tests send both to their children.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # The same examples on every machine and every run: a change fails for what it changes, not for what was drawn. No
 # deadline (a shared machine may pause for longer than 200 ms; no test is about time), no examples kept between runs.

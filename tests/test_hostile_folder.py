@@ -35,6 +35,7 @@ PROGRAM = """
 import os, sys
 start, before = os.getcwd(), list(sys.path)
 sys.path[:] = [entry for entry in before if entry and os.path.realpath(entry) != start]
+from fsh3d_o3d import evaluation
 from fsh3d_o3d.files import read_geometry_arrays
 from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d.jobs import extract_descriptors
@@ -45,6 +46,7 @@ if __name__ == "__main__":
     for name in ("pyarrow.fs", "lancedb", "skimage.measure", "plotly.offline", "jinja2", "DracoPy"):
         import_installed(name)
     assert len(extract_descriptors(["box.off"], ToyDescriptor(), workers=1, cache=False).indices) == 1
+    assert evaluation.precision_recall_png(evaluation.RECALL_LEVELS, "curve")[1:4] == b"PNG"  # loads its file only now
     assert sys.path == before
     print("done")
 """

@@ -171,7 +171,7 @@ def test_open3d_is_imported_in_one_place(path: Path) -> None:
 @pytest.mark.parametrize("module", ["fsh3d_o3d", "fsh3d_o3d.cli"])
 def test_import_is_light(module: str) -> None:
     """Open3D, plotly and PyTorch take seconds to import: nothing does before they are needed."""
-    heavy = "jinja2 lancedb matplotlib open3d plotly pyarrow pymeshlab ray scipy.ndimage skimage torch"
+    heavy = "PIL jinja2 lancedb matplotlib open3d plotly pyarrow pymeshlab ray scipy.ndimage skimage torch"
     code = f"import sys, {module}; print(sorted(set('{heavy}'.split()) & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent, check=True)
     assert done.stdout.strip() == "[]"

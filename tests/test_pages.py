@@ -51,9 +51,11 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.parametrize("page", [page for page in PAGES if CODE[page]])
 def test_code_runs(page, folder):
     skip_without_torch(needed=any("import torch" in block for block in CODE[page]))
-    names = {"__name__": "__main__", "values": np.ones((2, 6144)), "directions": np.eye(3)}
+    given = {"__name__": "__main__", "values": np.ones((2, 6144)), "directions": np.eye(3)}
+    names = dict(given)
     for block in CODE[page]:
         exec(block, names)
+    assert names.keys() > given.keys() | {"fsh"}  # it ran, and made something
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if any(map(is_whole, COMMANDS[page]))])

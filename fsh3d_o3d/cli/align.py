@@ -8,12 +8,14 @@ from typing import Any
 
 from fsh3d_o3d._atomic import atomic_write_bytes
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.cli.console import Progress, print_json, say
+from fsh3d_o3d.cli.console import Progress, fields, print_json, say
 from fsh3d_o3d.cli.targets import checked_targets
 from fsh3d_o3d.files import WRITABLE_CLOUD_FORMATS, WRITABLE_MESH_FORMATS, read_geometry_arrays, write_geometry
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, transformed
 from fsh3d_o3d.registration import SphericalRegistrationOption, SphericalRegistrationResult, registration_spherical
 
+_OF_CANDIDATES = ("transformation", "correlation", "fitness", "inlier_rmse")
+_OF_RESULT = (*_OF_CANDIDATES, "scale", "reflected", "max_correspondence_distance", "confidence", "ambiguity")
 _WHOLE = 0.9  # share of the source near the target; less is said to be another shape, or a part
 
 
@@ -78,7 +80,8 @@ def run(options: argparse.Namespace) -> int:
         if options.picture:
             atomic_write_bytes(options.picture, picture)
     if options.json:
-        print_json(_figures(result))
+        candidates = [fields(one, *_OF_CANDIDATES) for one in result.candidates]
+        print_json({**fields(result, *_OF_RESULT), "candidates": candidates})
     else:
         say(*_summary(options, result, targets))
     return 0
@@ -90,29 +93,6 @@ def _check_format(output: str, source: MeshArrays | PointArrays) -> None:
         what, formats = ("point cloud", WRITABLE_CLOUD_FORMATS)
     if Path(output).suffix.lower() not in formats:
         raise ValueError(f"the source is a {what}: the output must end in {' or '.join(formats)}, got {output!r}")
-
-
-def _figures(result: SphericalRegistrationResult) -> dict[str, Any]:
-    return {
-        "transformation": result.transformation.tolist(),
-        "scale": result.scale,
-        "reflected": result.reflected,
-        "fitness": result.fitness,
-        "inlier_rmse": result.inlier_rmse,
-        "max_correspondence_distance": result.max_correspondence_distance,
-        "correlation": result.correlation,
-        "confidence": result.confidence,
-        "ambiguity": result.ambiguity,
-        "candidates": [
-            {
-                "transformation": other.transformation.tolist(),
-                "correlation": other.correlation,
-                "fitness": other.fitness,
-                "inlier_rmse": other.inlier_rmse,
-            }
-            for other in result.candidates
-        ],
-    }
 
 
 def _summary(options: argparse.Namespace, result: SphericalRegistrationResult, targets: list[str]) -> list[str]:

@@ -31,9 +31,14 @@ def error_line(error: object) -> str:
 
 
 def print_json(values: Mapping[str, Any]) -> None:
-    """Print strict JSON: NaN and infinities become null."""
+    """Print strict JSON: NaN and infinities become null, arrays lists."""
     finite = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
-    print(json.dumps(finite, ensure_ascii=True, allow_nan=False))
+    print(json.dumps(finite, ensure_ascii=True, allow_nan=False, default=lambda array: array.tolist()))
+
+
+def fields(value: object, *names: str) -> dict[str, Any]:
+    """Return some attributes of a value by their names, as JSON shows them."""
+    return {name: getattr(value, name) for name in names}
 
 
 class Progress:

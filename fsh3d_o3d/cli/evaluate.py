@@ -35,7 +35,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument(
         "--repair",
-        type=_cells,
+        type=_positive,
         metavar="CELLS",
         help="for cpshd, make closed surfaces of genus 0 of all others at this resolution (default: they fail)",
     )
@@ -147,10 +147,6 @@ def _positive(text: str, maximum: int = 1024) -> int:
 
 def _neighbors(text: str) -> int:
     return max(2, _positive(text, 10**6))
-
-
-def _cells(text: str) -> int:
-    return _positive(text, 1024)
 
 
 def _candidates(text: str) -> int:

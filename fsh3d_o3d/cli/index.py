@@ -6,7 +6,7 @@ import argparse
 import time
 from typing import Any
 
-from fsh3d_o3d.cli.console import print_json, say
+from fsh3d_o3d.cli.console import fields, print_json, say
 from fsh3d_o3d.cli.describe import SHD_OPTIONS
 from fsh3d_o3d.cli.passed_over import in_brackets, other_formats, passed_over
 from fsh3d_o3d.index import ShapeIndex, real_folder, scan_library
@@ -70,27 +70,12 @@ def run(options: argparse.Namespace) -> int:
         _print_failed(one)
     failed = [*scan.not_listed, *failed]
     seconds = time.perf_counter() - start
-    figures = {
-        "models": len(index),
-        "added": update.added,
-        "moved": update.moved,
-        "unchanged": update.unchanged,
-        "removed": removed,
-    }
+    figures = {"models": len(index), **fields(update, "added", "moved", "unchanged"), "removed": removed}
     if options.json:
-        failures = [{"path": one.path, "reason": one.reason} for one in failed]
-        moves = [{"old": move.old, "new": move.new} for move in update.libraries]
-        passed = {"other_formats": other_formats(scan), "links": scan.links}
-        print_json(
-            {
-                "index": options.index,
-                **figures,
-                "failed": failures,
-                "libraries_moved": moves,
-                **passed,
-                "seconds": seconds,
-            }
-        )
+        failures = [fields(one, "path", "reason") for one in failed]
+        moves = [fields(move, "old", "new") for move in update.libraries]
+        passed = {"other_formats": other_formats(scan), "links": scan.links, "seconds": seconds}
+        print_json({"index": options.index, **figures, "failed": failures, "libraries_moved": moves, **passed})
     else:
         rest = ", ".join(f"{count} {name}" for name, count in list(figures.items())[1:])
         say(f"{options.index}: {figures['models']} models ({rest}, {len(failed)} failed), {seconds:.1f} s")

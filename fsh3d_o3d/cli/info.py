@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fsh3d_o3d.cli.console import Progress, add_output_options, print_json, say
@@ -48,12 +49,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"file": os.fspath(options.file), **facts, "notes": list(found.notes)})
     else:
-        width = max(map(len, facts))
-        say(options.file)
-        for name, value in facts.items():
-            say(f"  {name.replace('_', ' '):<{width}}  {_shown(value)}")
-        for note in found.notes:
-            say(f"  {'note':<{width}}  {note}")
+        _print_facts(options.file, facts, [("note", note) for note in found.notes])
     return 0
 
 
@@ -73,13 +69,15 @@ def _run_index(options: argparse.Namespace) -> int:
     searchable, models = facts.pop("searchable"), facts["models"]
     facts["search"] = f"{searchable} of {models} models in an inverted file" if searchable else "compares every model"
     facts["size"] = f"{facts.pop('bytes_on_disk') / 10**6:.1f} MB"
-    width = max(map(len, facts))
-    say(options.file)
-    for name, value in facts.items():
-        say(f"  {name.replace('_', ' '):<{width}}  {_shown(value)}")
-    for folder, count in libraries.items():
-        say(f"  {'library':<{width}}  {folder}: {count} models")
+    _print_facts(options.file, facts, [("library", f"{folder}: {count} models") for folder, count in libraries.items()])
     return 0
+
+
+def _print_facts(title: str, facts: Mapping[str, Any], more: Sequence[tuple[str, str]]) -> None:
+    """In two columns; of ``more`` several may have the same name."""
+    width = max(map(len, facts))
+    rows = [(name.replace("_", " "), _shown(value)) for name, value in (*facts.items(), *more)]
+    say(title, *(f"  {name:<{width}}  {text}" for name, text in rows))
 
 
 def describe(geometry: MeshArrays | PointArrays) -> dict[str, Any]:

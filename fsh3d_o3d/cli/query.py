@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
-from fsh3d_o3d.cli.console import error_line, print_json, say
+from fsh3d_o3d.cli.console import error_line, fields, print_json, say
 from fsh3d_o3d.cli.passed_over import in_brackets
 from fsh3d_o3d.cli.targets import checked_targets
 from fsh3d_o3d.files import read_geometry_arrays
@@ -87,18 +87,8 @@ def _scan(options: argparse.Namespace) -> LibraryScan:
 
 def _print(path: str, hits: Sequence[Hit], options: argparse.Namespace) -> None:
     if options.json:
-        answers = [
-            {
-                "path": hit.path,
-                "distance": hit.distance,
-                "rank": hit.rank,
-                "feature_distance": hit.feature_distance,
-                "rotation": hit.rotation.tolist(),
-                "transformation": hit.transformation.tolist(),
-            }
-            for hit in hits
-        ]
-        print_json({"query": path, "hits": answers})
+        names = ("path", "distance", "rank", "feature_distance", "rotation", "transformation")
+        print_json({"query": path, "hits": [fields(hit, *names) for hit in hits]})
         return
     say(f"{path}:")
     for hit in hits:
@@ -108,10 +98,7 @@ def _print(path: str, hits: Sequence[Hit], options: argparse.Namespace) -> None:
 def _near_duplicates(index: ShapeIndex, options: argparse.Namespace) -> int:
     pairs = index.near_duplicates(options.limit)
     if options.json:
-        found = [
-            {"first": pair.first, "second": pair.second, "distance": pair.distance, "mirrored": pair.mirrored}
-            for pair in pairs
-        ]
+        found = [fields(pair, "first", "second", "distance", "mirrored") for pair in pairs]
         print_json({"models": len(index), "limit": options.limit, "pairs": found})
         return 0
     for pair in pairs:

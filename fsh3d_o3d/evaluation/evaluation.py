@@ -40,10 +40,8 @@ class Evaluation:
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values for JSON; scores as fractions, NaN never."""
-        again = self.neighborhood
         return {
-            "micro": dataclasses.asdict(self.metrics.micro),
-            "macro": dataclasses.asdict(self.metrics.macro),
+            **_averages(self.metrics),
             "models": self.models,
             "failed": [dataclasses.asdict(failed) for failed in self.failed],
             "seconds_per_model": self.seconds_per_model,
@@ -52,9 +50,7 @@ class Evaluation:
             "recall": RECALL_LEVELS.tolist(),
             "precision_recall": self.metrics.precision_recall.tolist(),
             "classes": [dataclasses.asdict(scores) for scores in self.metrics.classes],
-            "neighborhood": None
-            if again is None
-            else {"micro": dataclasses.asdict(again.micro), "macro": dataclasses.asdict(again.macro)},
+            "neighborhood": None if self.neighborhood is None else _averages(self.neighborhood),
         }
 
 
@@ -138,6 +134,10 @@ def evaluate_models(
         seconds=time.monotonic() - start,
         neighborhood=neighborhood,
     )
+
+
+def _averages(metrics: RetrievalMetrics) -> dict[str, Any]:
+    return {"micro": dataclasses.asdict(metrics.micro), "macro": dataclasses.asdict(metrics.macro)}
 
 
 def _not_found(folder: str | os.PathLike[str], files: ModelFiles) -> tuple[FailedInput, ...]:

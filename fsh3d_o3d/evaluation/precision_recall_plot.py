@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import io
 
-from PIL import Image, ImageDraw, ImageFont
-
+from fsh3d_o3d._imports import only_installed
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.evaluation.metrics import RECALL_LEVELS
+
+with only_installed():  # loaded late
+    from PIL import Image, ImageDraw, ImageFont
 
 _SIZE = 640  # pixels of a side
 _SCALE = 3  # times larger when drawn, then reduced: Pillow's lines have no smooth edges

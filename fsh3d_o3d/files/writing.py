@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fsh3d_o3d._atomic import atomic_write_bytes
+from fsh3d_o3d._atomic import atomic_write_bytes as atomic_write_bytes  # in the door, for all that is written
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files.serialise import Content
 from fsh3d_o3d.files.writers import CLOUD_WRITERS, MESH_WRITERS

@@ -10,8 +10,8 @@ from fsh3d_o3d.geometry.thinning import thinned
 
 _NEIGHBOURS = 16  # points, a choice: fewer make areas noisy, more blur where density changes
 _MOST_POINTS = 65536  # more do not change a feature, only the time it takes
-# A lone outlier stands far from everything; without a bound it would claim more area than the object.
-# Of the median area; a choice.
+# Of the median area, a choice. A lone outlier stands far from everything; without a bound it would claim more area
+# than the object.
 _LARGEST_SHARE = 16.0
 
 

@@ -16,7 +16,7 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 
 _SMALL = 2000  # corners; ear clipping takes some milliseconds
 _HOPELESS = 20_000  # corners; ear clipping of more takes minutes where the polygon crosses itself everywhere
-_ATTEMPTS = 32  # lines on which a diagonal is looked for, a choice
+_ATTEMPTS = 32  # lines on which a diagonal is looked for, a bound: each costs a sort of the corners
 _GOLDEN_ANGLE = 2.399963  # radians; multiples of it fall on no axis and are spread evenly
 _LEVELS = (0.5, 0.3, 0.7, 0.4, 0.6, 0.2, 0.8)  # share of the corners below the line, a choice: the middle first
 _SEGMENTS = 4  # of a line inside the polygon, a choice: those with the most corners on both sides first

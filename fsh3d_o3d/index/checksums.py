@@ -30,7 +30,7 @@ CHECKSUM = "checksum"
 """The column that holds the others' checksum: four bytes of BLAKE2b."""
 FOLDER = "checksums"
 """Where those of files are, beside the tables."""
-_CHUNK = 2**20  # bytes of a file that are read at once; a choice
+_CHUNK = 2**20  # bytes of a file that are read at once: larger reads are no faster
 _LATEST = 2**64 - 1  # Lance names manifests by what is left to this, so that a list begins with the newest
 
 

@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from fsh3d_o3d._printable import printable
 from fsh3d_o3d._value import value
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.index.extraction import Described, DescribeFile, FileState, identity
@@ -21,7 +20,7 @@ from fsh3d_o3d.index.moves import LibraryMove, ModelRows, moved_libraries, moved
 from fsh3d_o3d.index.roots import LibraryRoots, inside
 from fsh3d_o3d.index.rows import model_columns, moved_columns
 from fsh3d_o3d.index.store import IndexStore
-from fsh3d_o3d.jobs import FailedInput, Outcome, run_tasks
+from fsh3d_o3d.jobs import FailedInput, Outcome, reason_line, run_tasks
 
 Known = TypeVar("Known")
 
@@ -146,7 +145,7 @@ class Filling:
             for outcome in outcomes:
                 path = tasks[outcome.index]
                 if outcome.result is None:
-                    reasons[path] = _one_line(outcome.reason or "", path)
+                    reasons[path] = reason_line(outcome.reason, path)
                     self._failed.append((path, todo[path], reasons[path]))
                 else:
                     self._described.append((path, outcome.result))
@@ -275,8 +274,3 @@ class Filling:
     def _stored(self, table: Any, path: str) -> bytes:
         """What the row of a path holds of it."""
         return self._unusual[table.name].get(path) or self._roots.stored(path)
-
-
-def _one_line(reason: str, path: str) -> str:
-    reason = reason.removeprefix(f"{path}: ").removeprefix(f"{printable(path)}: ")
-    return " ".join(reason.split()) or "failed without a message"

@@ -12,7 +12,7 @@ from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files import file_content, is_uri, list_objects
 from fsh3d_o3d.index.extraction import FileState, has_buffers
-from fsh3d_o3d.index.library_files import ABSENT, missing_files
+from fsh3d_o3d.index.library_scan import ABSENT, missing_files
 from fsh3d_o3d.index.roots import LibraryRoots, inside, library_of
 
 _SAMPLE = 16  # files whose content is compared, a choice; the others are by name and size

@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping
 
 from fsh3d_o3d.files import absolute
-from fsh3d_o3d.index.library_files import ABSENT, missing_files, require_place
+from fsh3d_o3d.index.library_scan import ABSENT, missing_files, require_place
 from fsh3d_o3d.index.moves import is_empty
 from fsh3d_o3d.index.roots import inside, library_of, real_file, real_folder
 from fsh3d_o3d.index.store import IndexStore

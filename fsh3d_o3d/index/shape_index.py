@@ -28,15 +28,7 @@ from fsh3d_o3d.index.store import IndexStore
 from fsh3d_o3d.index.summary import indexed_models, summary
 from fsh3d_o3d.jobs import FailedInput, run_tasks_on_ray
 
-__all__ = [
-    "Hit",
-    "IndexSummary",
-    "IndexUpdate",
-    "IndexedModel",
-    "NearDuplicate",
-    "ShapeIndex",
-    "ShapeIndexError",
-]
+__all__ = ["ShapeIndex"]
 
 Engine = Literal["local", "ray"]
 

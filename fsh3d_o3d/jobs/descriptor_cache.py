@@ -34,7 +34,9 @@ _TABLE = "CREATE TABLE IF NOT EXISTS descriptors (key BLOB PRIMARY KEY, seconds 
 _KEYS_A_QUERY = 500  # SQLite before 3.32 takes 999 parameters at most
 _ENTRIES_A_TRANSACTION = 64  # lost at most if the process is killed: a second or two of work; a choice
 _LOCK_TIMEOUT = 30.0  # seconds to wait for another process's transaction
-_CHUNK = 2**20  # bytes of a file that are hashed at once; a choice
+_CHUNK = 2**20  # bytes of a file that are hashed at once: larger reads are no faster
+_WITHOUT_INFLUENCE = {"cli", "report", "index", "evaluation", "jobs"}  # folders that only handle descriptors
+
 _log = logging.getLogger("fsh3d_o3d")
 
 
@@ -95,7 +97,7 @@ def _code_digest() -> bytes:
     package = Path(__file__).parents[1]
     digest = hashlib.sha256(__version__.encode())
     for path in sorted(package.rglob("*.py")):
-        if path.relative_to(package).parts[0] not in {"cli", "report", "retrieval"}:
+        if path.relative_to(package).parts[0] not in _WITHOUT_INFLUENCE:
             digest.update(path.read_bytes())
     return digest.digest()
 

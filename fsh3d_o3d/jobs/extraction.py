@@ -123,7 +123,7 @@ def extract_descriptors(
                 index, key = todo[outcome.index], keys[todo[outcome.index]]
                 bar.update()
                 if outcome.result is None:
-                    reasons[index] = _one_line(outcome.reason or "", names[index])
+                    reasons[index] = reason_line(outcome.reason, names[index])
                     continue
                 entries[index] = outcome.result
                 # A file that changed while it was read may not have the content that was hashed.
@@ -170,7 +170,9 @@ def _state(path: str) -> tuple[int, int, int] | None:
     return about.st_ino, about.st_size, about.st_mtime_ns
 
 
-def _one_line(reason: str, path: str) -> str:
+def reason_line(reason: str | None, path: str) -> str:
+    """Return in one line, without the file's name before it, why a task about a file has failed."""
+    reason = reason or ""
     for prefix in (path, os.path.abspath(path)):  # noqa: PTH100 - as the reader names it: links are not resolved
         reason = reason.removeprefix(f"{prefix}: ").removeprefix(f"{printable(prefix)}: ")
     return " ".join(reason.split()) or "failed without a message"

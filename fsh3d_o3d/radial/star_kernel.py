@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.geometry import degenerate, triangle_normals
 
-_START = 256  # faces in the first linear programme, spread over the mesh; a choice
+_START = 256  # faces in the first linear programme, spread over the mesh: as many as a round adds
 _ADDED = 256  # violated faces that each round adds
 _ROUNDS = 100  # a bound: by then the programme has 26,000 faces
 _TOLERANCE = 1e-9  # of plane distances in the unit cube; HiGHS itself meets constraints to about this

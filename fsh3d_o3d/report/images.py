@@ -8,9 +8,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
 
 from fsh3d_o3d import _validation as check
+from fsh3d_o3d._imports import only_installed
+
+with only_installed():  # loaded late
+    from PIL import Image, ImageDraw, ImageFont
 
 _SMALLEST = 13  # pixels of a caption's letters
 _GAP = 12  # pixels between pictures and around captions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, cast
 
@@ -13,6 +14,7 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.geometry import ray_casting_scene, ray_tensor, triangle_normals
 from fsh3d_o3d.report.shading import Fragments, facing
 from fsh3d_o3d.report.view import Raster
+from fsh3d_o3d.sphere import fibonacci_grid
 
 _TILE = 4  # pixels to a side that share out the directions of the occlusion rays
 _RAYS = 4  # occlusion rays a pixel; the 16 pixels of a tile have 64 together
@@ -50,16 +52,16 @@ def mesh_fragments(
     pixel = np.flatnonzero(np.isfinite(distance))
     corner = triangles[answer["primitive_ids"].numpy()[pixel].astype(np.int64)]
     uv = answer["primitive_uvs"].numpy()[pixel].astype(np.float64)
-    share = np.column_stack((1 - uv.sum(axis=1), uv))
+    at_hits = functools.partial(np.einsum, "kc,kcd->kd", np.column_stack((1 - uv.sum(axis=1), uv)))
 
     flat = facing(unit(triangle_normals(vertices[corner])))
     normal = flat
     if normals is not None:
-        smooth = unit(np.einsum("kc,kcd->kd", share, normals[corner]))
+        smooth = unit(at_hits(normals[corner]))
         # Wound or oriented the other way round, a vertex normal still tells the curvature.
         smooth *= np.where(np.einsum("kd,kd->k", smooth, flat) < 0, -1.0, 1.0)[:, None]
         normal = np.where(np.isfinite(smooth).all(axis=1, keepdims=True), smooth, flat)
-    color = colors[np.zeros(len(pixel), dtype=np.int64)] if len(colors) == 1 else _blend(share, colors[corner])
+    color = colors[np.zeros(len(pixel), dtype=np.int64)] if len(colors) == 1 else at_hits(colors[corner])
     place = start[pixel] - distance[pixel, None].astype(np.float64) * (0.0, 0.0, 1.0)
     openness = _openness(scene, place, flat, pixel, raster) if occlusion else np.ones(len(pixel))
     return Fragments(pixel=pixel, normal=normal, color=color, openness=openness)
@@ -104,7 +106,7 @@ def _openness(scene: Any, place: Float64Array, normal: Float64Array, pixel: IntA
     """
     row, column = np.divmod(pixel, raster.width)
     share = (row % _TILE) * _TILE + column % _TILE
-    offsets = _sphere(_TILE**2 * _RAYS)
+    offsets = fibonacci_grid(_TILE**2 * _RAYS).directions
     start = place + _RAY_OFFSET * normal
     open_rays = np.zeros(len(pixel))
     for ray in range(_RAYS):
@@ -122,13 +124,6 @@ def _openness(scene: Any, place: Float64Array, normal: Float64Array, pixel: IntA
     return cast(Float64Array, np.clip(mean / weight, 0, 1))
 
 
-def _sphere(count: int) -> Float64Array:
-    index = np.arange(count) + 0.5
-    z = 1 - 2 * index / count
-    angle = math.pi * (3 - math.sqrt(5)) * index
-    return np.stack((np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z), axis=1)
-
-
 def estimated_normals(points: Float64Array) -> Float64Array:
     """Return unit normals (n, 3), of either sign, of points of order one from their neighbours; NaN for none."""
     o3d = open3d()
@@ -141,7 +136,3 @@ def unit(vectors: Float64Array) -> Float64Array:
     """Return vectors (k, 3) of length one; NaN where there is none."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return cast(Float64Array, vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
-
-
-def _blend(share: Float64Array, values: Float64Array) -> Float64Array:
-    return np.asarray(np.einsum("kc,kcd->kd", share, values))

@@ -140,14 +140,7 @@ class PackedLayout:
 
     def pack(self, coefficients: FloatArray) -> ComplexArray:
         """a(l, m) = (−1)^m (c(l, m) − i c(l, −m)) / √2 for m > 0, c(l, 0) for m = 0."""
-        return self._pack(coefficients, np.sqrt(0.5))
-
-    def unpack(self, packed: ComplexArray) -> FloatArray:
-        """The inverse of ``pack``."""
-        return self._unpack(packed, np.sqrt(2.0))
-
-    def _pack(self, coefficients: FloatArray, factor: float) -> ComplexArray:
-        scale = self._scale(factor, coefficients.dtype)
+        scale = self._scale(np.sqrt(0.5), coefficients.dtype)
         complex_type = np.complex64 if coefficients.dtype == np.float32 else np.complex128
         result = np.empty((*coefficients.shape[:-1], len(scale)), dtype=complex_type)
         result.real = coefficients[..., self._cosine] * scale
@@ -155,9 +148,10 @@ class PackedLayout:
         result.imag[..., : self.bandwidth] = 0  # m = 0, which comes first
         return result
 
-    def _unpack(self, packed: ComplexArray, factor: float) -> FloatArray:
+    def unpack(self, packed: ComplexArray) -> FloatArray:
+        """The inverse of ``pack``."""
         real_type = np.float32 if packed.dtype == np.complex64 else np.float64
-        scale = self._scale(factor, np.dtype(real_type))
+        scale = self._scale(np.sqrt(2.0), np.dtype(real_type))
         result = np.empty((*packed.shape[:-1], self.bandwidth**2), dtype=real_type)
         result[..., self._sine] = packed.imag * -scale
         result[..., self._cosine] = packed.real * scale  # after the sine, which shares m = 0

@@ -28,7 +28,7 @@ from fsh3d_o3d.sphere_map.validity import degree, distortion, is_valid, orientat
 
 __all__ = ["ConformalMapOption", "conformal_map"]
 
-_RECOVERY_STEPS = 50  # Newton steps towards the conformal map after a fallback, a choice
+_RECOVERY_STEPS = 50  # Newton steps towards the conformal map after a fallback, a bound: it ends where little is left
 _FLOW_TOLERANCE = 0.02  # of what is left: the next step would change the mean distortion in the third digit
 
 

@@ -14,7 +14,7 @@ from fsh3d_o3d.sphere_map.validity import conformality_deficit, orientations
 # Two triangles differ in shape if their ratios of longest to shortest edge do by more than this, a choice: so that
 # rounding of a rotated copy of a symmetric surface does not choose another triangle.
 _SAME_SHAPE = 1e-6
-_IDLE_STEPS = 3  # steps in a row without progress that end the flow; a choice
+_IDLE_STEPS = 3  # steps in a row without progress that end the flow: the first one or two may lead away
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,11 +16,11 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry import EdgeTable
 
-_BLOCK = 2**16  # directions at a time, for memory; a choice
+_BLOCK = 2**16  # directions at a time: some 40 MB of temporaries
 _NEARLY_NEAREST = (
     0.5  # relative error of the nearest middle, a choice: a tight cluster is as far everywhere, and searched slowly
 )
-_PAIRS = 2**21  # directions times triangles at a time in the exhaustive search, for memory; a choice
+_PAIRS = 2**18  # directions times triangles at a time in the exhaustive search: some 150 MB of temporaries
 # The rounding of det[near, end − start, d] is below 8 unit roundoffs of the product of the three lengths: one for each
 # difference, three for the products and sums of the cross product and three for those with d.
 _UNCERTAIN = 16 * np.finfo(np.float64).eps

@@ -19,18 +19,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.sphere_map.validity import cross, edge_vectors, orientations
+from fsh3d_o3d.sphere_map.validity import cross, edge_vectors, orientations, tangents
 
 AREA_WEIGHT = 5.0
 """The weight of areas beside angles that reconstructs well, without unit."""
 
-_STEPS = 4  # for each call, a choice
+_STEPS = 4  # for each call, a choice: on the levels of a hierarchy most has been done on the coarser ones
 _DAMPING = 0.6  # of Newton's step, a choice, since the neighbours move as well
 _LONGEST_MOVE = 0.5  # radians, a choice: the tangent plane is not the sphere
 _THICKENED = 1e-2  # of the mean squared edge, added to each: triangles count as at most ten times as long as wide
 _AREA_FLOOR = 0.1  # of the mean area, added to each, a choice: triangles without area still keep a little of the sphere
 _STRETCHED = 6.0  # Dirichlet energy over area, a choice: beyond, its logarithm counts, and areas win over angles
-_KEPT_AREA = 0.3  # of a triangle in one step, at least; a choice
+_KEPT_AREA = 0.3  # of a triangle in one step, at least, a choice: far from flat, where the model of a step breaks down
 _HALVINGS = 5  # of steps that would shrink it more, a choice; after that its corners stay
 _SINGULAR = 1e-14  # smallest determinant of a 2 × 2 system, over the product of its diagonal: some fifty roundings
 
@@ -100,7 +100,7 @@ def _newton_move(
     """Return each vertex' damped Newton step (n, 3) in its tangent plane."""
     count, triangles = len(sphere), surface.triangles
     columns = np.ascontiguousarray(sphere.T)
-    first, second = _tangents(columns)
+    first, second = tangents(columns)
     corner = [columns[:, triangles[:, k]] for k in range(3)]
     opposite = [corner[2] - corner[1], corner[0] - corner[2], corner[1] - corner[0]]
     area = determinants / 2
@@ -154,12 +154,3 @@ def _guarded(
             return moved, after
         step[harmed] *= 0.5 if attempt < _HALVINGS else 0.0
         attempt += 1
-
-
-def _tangents(columns: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return two orthonormal tangents (3, n) at unit vectors (3, n)."""
-    axis = np.zeros_like(columns)
-    axis[np.abs(columns).argmin(axis=0), np.arange(columns.shape[1])] = 1.0
-    first = cross(columns, axis)
-    first /= np.sqrt((first * first).sum(axis=0))
-    return first, cross(columns, first)

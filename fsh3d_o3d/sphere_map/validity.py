@@ -30,6 +30,15 @@ def cross(u: Float64Array, v: Float64Array) -> Float64Array:
     return np.stack((u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]))
 
 
+def tangents(columns: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Return two orthonormal tangents (3, n) at unit vectors (3, n)."""
+    axis = np.zeros_like(columns)
+    axis[np.abs(columns).argmin(axis=0), np.arange(columns.shape[1])] = 1.0
+    first = cross(columns, axis)
+    first /= np.sqrt((first * first).sum(axis=0))
+    return first, cross(columns, first)
+
+
 def orientations(sphere: Float64Array, triangles: IntArray) -> Float64Array:
     """Return det[a, b − a, c − a] (t,) of each spherical triangle: positive where it is not flipped.
 

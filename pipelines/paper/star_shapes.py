@@ -35,7 +35,16 @@ from scipy.spatial.transform import Rotation
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d.files import read_geometry_arrays
-from fsh3d_o3d.geometry import MeshArrays, PointArrays, area_samples, enclosed_volume, sphere_mesh, weld
+from fsh3d_o3d.geometry import (
+    MeshArrays,
+    PointArrays,
+    area_samples,
+    enclosed_volume,
+    sphere_mesh,
+    triangle_areas,
+    triangle_normals,
+    weld,
+)
 from fsh3d_o3d.radial import sample_radial, star_center
 from fsh3d_o3d.shapes import RadialShape
 
@@ -128,8 +137,7 @@ def decoded(coefficients: np.ndarray) -> MeshArrays:
 
 def vertex_areas(mesh: MeshArrays) -> np.ndarray:
     """Return the share of the area that is nearest to each vertex, roughly: a third of the triangles around it."""
-    corners = mesh.vertices[mesh.triangles]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = triangle_areas(mesh.vertices[mesh.triangles])
     share = np.bincount(mesh.triangles.ravel(), np.repeat(area, 3), minlength=len(mesh.vertices))
     return np.asarray(share / share.sum())
 
@@ -249,7 +257,7 @@ def picture(body: Subject, name: str, b: int, output: tuple[Path, str]) -> None:
         # The middle one up, a little from the side; shaded by the angle to a light at the eye.
         points = shape.vertices[:, order[[2, 1, 0]]] @ view.T
         corners = points[shape.triangles]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = triangle_normals(corners)
         light = np.abs(normals[:, 2]) / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
         color = plt.get_cmap("viridis")(np.minimum(values[shape.triangles].mean(axis=1) / top, 1))
         color[:, :3] *= (0.45 + 0.55 * light)[:, None]

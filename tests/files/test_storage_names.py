@@ -15,7 +15,7 @@ from fsh3d_o3d._printable import printable
 from fsh3d_o3d.cli import main
 from fsh3d_o3d.files import object_storage as storage
 from fsh3d_o3d.files.deadline import within
-from fsh3d_o3d.index.library_files import library_files
+from fsh3d_o3d.index.library_scan import library_files
 
 SECRETS = [
     "s3://KEY:HUSH@bucket/x.off",

@@ -20,7 +20,7 @@ from fsh3d_o3d.cli import main
 from fsh3d_o3d.files import object_storage as storage
 from fsh3d_o3d.files.reading import read_geometry_arrays, read_geometry_file
 from fsh3d_o3d.index.extraction import FileState
-from fsh3d_o3d.index.library_files import library_files
+from fsh3d_o3d.index.library_scan import library_files
 from fsh3d_o3d.index.shape_index import ShapeIndex, ShapeIndexError
 from tests.files.mutations import gltf_tree
 from tests.index.index_cases import QUICK, fill_slowly, write_library

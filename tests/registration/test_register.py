@@ -165,9 +165,10 @@ def test_clouds_keep_their_points_and_order(rng):
 def test_result_goes_into_open3d(random_rotation):
     source = open3d_mesh(HORN)
     result = fsh.registration_spherical(source, moved(HORN, similarity(random_rotation)))
-    source.transform(result.transformation)
-    o3d.utility.Vector3dVector(result.source_points)
-    o3d.utility.Vector2iVector(result.correspondence_set)
+    turned = np.asarray(source.transform(result.transformation).vertices)
+    np.testing.assert_allclose(turned, HORN.vertices @ result.transformation[:3, :3].T + result.transformation[:3, 3])
+    assert len(o3d.utility.Vector3dVector(result.source_points)) == len(result.source_points)
+    assert len(o3d.utility.Vector2iVector(result.correspondence_set)) == len(result.correspondence_set)
 
 
 def test_without_scaling_the_result_is_rigid(rng, random_rotation):

@@ -203,8 +203,9 @@ def test_grid_from_directions_leaves_the_callers_array_alone(rng: np.random.Gene
 
 def test_constructor_leaves_the_callers_arrays_writeable() -> None:
     theta = np.array([0.0])
-    fsh.SphericalGrid(np.array([[0.0, 0.0, 1.0]]), theta, np.array([0.0]), "one")
+    grid = fsh.SphericalGrid(np.array([[0.0, 0.0, 1.0]]), theta, np.array([0.0]), "one")
     theta[0] = 1.0  # raises if the grid froze the caller's own array
+    assert grid.colatitude.tolist() == [0.0]
 
 
 def test_fingerprint_tells_grids_apart() -> None:

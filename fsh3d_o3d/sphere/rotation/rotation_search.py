@@ -16,7 +16,7 @@ __all__ = ["RotationEstimate", "estimate_rotation", "estimate_rotations"]
 
 _FINE_BANDWIDTH = 32  # degrees below it settle an angle far below what sampling leaves of it
 _COARSE_BANDWIDTHS = (8, 12, 16, 24, 32)  # of the first search: the first with enough of the functions in it
-_ENERGY_SHARE = 0.05  # that is enough, a choice
+_ENERGY_SHARE = 0.05  # that is enough, a choice: where so few degrees hold less, noise may decide
 _STARTS = 12  # local maxima of the first search to follow, at least: a choice; else twice as many as are asked for
 _MOST_MAXIMA = 60  # as many as the icosahedron has rotations
 _STEPS = 20  # of Newton, at most; four are usual

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from fsh3d_o3d.index.library_files import library_files, missing_files, scan_library
+from fsh3d_o3d.index.library_scan import library_files, missing_files, scan_library
 
 HOSTILE = [b"a b.off", b"quote'\".ply", b"new\nline.obj", b"<script>.stl", b"\xff\xfe.glb", "größe.off".encode()]
 

@@ -1,0 +1,12 @@
+from .classification import Classification as Classification
+from .classification import ShapeClass as ShapeClass
+from .classification import read_classification as read_classification
+from .evaluation import Evaluation as Evaluation
+from .evaluation import evaluate_models as evaluate_models
+from .metrics import RECALL_LEVELS as RECALL_LEVELS
+from .metrics import ClassScores as ClassScores
+from .metrics import RetrievalMetrics as RetrievalMetrics
+from .metrics import RetrievalScores as RetrievalScores
+from .metrics import retrieval_metrics as retrieval_metrics
+from .model_files import find_models as find_models
+from .precision_recall_plot import precision_recall_png as precision_recall_png

@@ -1,0 +1,13 @@
+from .descriptor_cache import CachedDescriptor as CachedDescriptor
+from .descriptor_cache import DescriptorCache as DescriptorCache
+from .descriptor_cache import clear_descriptor_cache as clear_descriptor_cache
+from .descriptor_cache import descriptor_cache_path as descriptor_cache_path
+from .descriptor_cache import key_of as key_of
+from .extraction import Descriptor as Descriptor
+from .extraction import Extraction as Extraction
+from .extraction import FailedInput as FailedInput
+from .extraction import extract_descriptors as extract_descriptors
+from .extraction import reason_line as reason_line
+from .ray_tasks import run_tasks_on_ray as run_tasks_on_ray
+from .worker_pool import Outcome as Outcome
+from .worker_pool import run_tasks as run_tasks
