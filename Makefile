@@ -13,11 +13,11 @@ demo:  ## Install what is needed and reconstruct a sample shape
 	@$(BIN)/python pipelines/demo.py --output output/demo
 
 test:  ## Run the tests
-	@bash tools/bootstrap.sh cpu,dev,docs
+	@bash tools/bootstrap.sh cpu,dev,docs,formats,cad
 	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile -q
 
 fuzz:  ## Explore the property tests with fresh seeds, for FUZZ_SECONDS and the end of the round
-	@bash tools/bootstrap.sh cpu,dev,docs
+	@bash tools/bootstrap.sh cpu,dev,docs,formats,cad
 	@end=$$(($$(date +%s) + $(FUZZ_SECONDS))); while [ $$(date +%s) -lt $$end ]; do \
 	    OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile -q -m hypothesis \
 	        --hypothesis-profile fuzz --seed $$(date +%s) || exit; done
@@ -49,7 +49,7 @@ constraints:  ## Write constraints.txt anew with the newest versions; takes Pyth
 	@$(BIN)/python tools/constraints.py
 
 samples:  ## Generate the sample shapes anew
-	@bash tools/bootstrap.sh cpu
+	@bash tools/bootstrap.sh cpu,formats
 	@$(BIN)/python samples/generate.py
 
 clean:  ## Remove the environment and everything generated

@@ -44,6 +44,8 @@ _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("PNG", re.compile(rb"\x89PNG")),
     ("JPEG", re.compile(rb"\xff\xd8\xff")),
     ("PDF", re.compile(rb"%PDF")),
+    ("LAS", re.compile(rb"LASF")),
+    ("E57", re.compile(rb"ASTM-E57")),
     ("ZIP", re.compile(rb"PK\x03\x04")),
     ("GZIP", re.compile(rb"\x1f\x8b")),
     ("HTML", re.compile(rb"\s*<(!doctype html|html)", re.IGNORECASE)),
@@ -61,7 +63,7 @@ _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("JSON", re.compile(rb'\s*(\{\s*["}]|\[\s*[\[{"\d-])')),
     ("OBJ", re.compile(rb"(?s:.){0,3000}?(^|[\r\n])(v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]|mtllib )")),
 )
-_WRITTEN_AS = {"GLTF": "JSON", "3MF": "ZIP"}
+_WRITTEN_AS = {"GLTF": "JSON", "3MF": "ZIP", "LAZ": "LAS"}
 """Formats whose files are of another, more general one as well."""
 
 

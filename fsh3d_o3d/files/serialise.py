@@ -37,7 +37,7 @@ def ply_bytes(surface: Content) -> bytes:
         if values is not None:
             columns += [(name, "double", values[:, axis]) for axis, name in enumerate(names.split())]
     if surface.colors is not None:
-        octets = _color_bytes(surface.colors)
+        octets = color_bytes(surface.colors)
         columns += [(name, "uchar", octets[:, axis]) for axis, name in enumerate(("red", "green", "blue"))]
     table = np.empty(len(surface.points), dtype=[(name, column.dtype.newbyteorder("<")) for name, _, column in columns])
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}"]
@@ -74,7 +74,7 @@ def off_bytes(surface: Content) -> bytes:
         columns.append(surface.normals.astype(object))
         pattern += " %r %r %r"
     if surface.colors is not None:
-        columns.append(_color_bytes(surface.colors).astype(object))
+        columns.append(color_bytes(surface.colors).astype(object))
         pattern += " %d %d %d 255"
     kind = ("C" if surface.colors is not None else "") + ("N" if surface.normals is not None else "") + "OFF"
     header = f"{kind}\n{len(surface.points)} {len(triangles)} 0\n"
@@ -155,7 +155,7 @@ def pcd_bytes(surface: Content) -> bytes:
     if surface.normals is not None:
         fields += [(f"normal_{name}", "<f4", surface.normals[:, axis]) for axis, name in enumerate("xyz")]
     if surface.colors is not None:
-        packed = _color_bytes(surface.colors).astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)
+        packed = color_bytes(surface.colors).astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)
         fields.append(("rgb", "<u4", packed))
     table = np.empty(len(surface.points), dtype=[(name, dtype) for name, dtype, _ in fields])
     for name, dtype, column in fields:
@@ -181,7 +181,8 @@ def _triangles(surface: Content) -> IntArray:
     return surface.triangles
 
 
-def _color_bytes(colors: Float64Array) -> NDArray[np.uint8]:
+def color_bytes(colors: Float64Array) -> NDArray[np.uint8]:
+    """Return colours in [0, 1] in eight bits."""
     return np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8)
 
 

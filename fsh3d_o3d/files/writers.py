@@ -15,6 +15,7 @@ from fsh3d_o3d.files.serialise import (
     xyz_bytes,
 )
 from fsh3d_o3d.files.serialise_3mf import threemf_bytes
+from fsh3d_o3d.files.serialise_las import las_bytes, laz_bytes
 
 MESH_WRITERS: dict[str, Callable[[Content], bytes]] = {
     ".ply": ply_bytes,
@@ -26,5 +27,11 @@ MESH_WRITERS: dict[str, Callable[[Content], bytes]] = {
 }
 """Extension and function for meshes."""
 
-CLOUD_WRITERS: dict[str, Callable[[Content], bytes]] = {".ply": ply_bytes, ".xyz": xyz_bytes, ".pcd": pcd_bytes}
+CLOUD_WRITERS: dict[str, Callable[[Content], bytes]] = {
+    ".ply": ply_bytes,
+    ".xyz": xyz_bytes,
+    ".pcd": pcd_bytes,
+    ".las": las_bytes,
+    ".laz": laz_bytes,
+}
 """Extension and function for point clouds."""

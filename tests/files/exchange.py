@@ -2,16 +2,35 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from tests.files.mutations import TRIANGLES, VERTICES
+from fsh3d_o3d.files.serialise import Content
+from fsh3d_o3d.files.serialise_las import las_bytes
+from tests.files.mutations import COLORS, TRIANGLES, VERTICES
 
+with pytest.MonkeyPatch.context() as _patch:
+    _patch.syspath_prepend(str(Path(__file__).parents[2] / "samples"))
+    from _cad_writers import iges_bytes, step_bytes
+
+CLOUD = Content(VERTICES, None, None, COLORS / 255)
 TURNED = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])  # a quarter about z
+
+# The cloud as lazrs 0.8 packs it, kept as text, so that it is there to be refused without lazrs as well.
+LAZ = base64.b85decode(
+    "OhHpd00000000000000000000000000Rm4{NJUZr000000000000000000000000000000003rlXftGAZ!=^dFfKAKFaQ7m00000"
+    "0000000000000000083vM*#o;0RR91f*Jq@00006000000000000000000000000wj4<Mkc||@tj4<Mkc||@tj4<Mkc||?|00000"
+    "0QkQE000000QA2A00000006)M000000Qf%u000000QkQE000000Q5fq000000QA2A00000002M$00000006)M0Bm7%dTDSVWo~0{"
+    "WMyOk0K8T%0Bm7;a&rIx00000000000000000000000000000000IC200II40000008qmK0RR90|NsC0|NsC0|NsC0{{jF802BZM"
+    "00;mE00IEF0RR9100000qu~)iS#t*f!s`nF00{s900030{{R3000WT>h;kDL!azbHz^X<3X_q6X{2nYV8RbK_ek@7bVcPn-wTDQd"
+    ")<5&K3``76q@@qTgEqm}Ot`>68{`|(1N&}f+B+Mk5R?Hi00000000010000yiU0rr"
+)
 
 
 @dataclass(frozen=True)
@@ -37,6 +56,12 @@ def exchange_files() -> dict[str, Exchange]:
     files = [
         Exchange("plain.3mf", pack_3mf(model_3mf(object_3mf(1), '<item objectid="1"/>'))),
         Exchange("placed.3mf", _placed_3mf()),
+        Exchange("plain.step", step_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-6, "cascadio", tail=2),
+        Exchange("plain.stp", step_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-6, "cascadio", tail=2),
+        Exchange("plain.igs", iges_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-6, "cascadio", tail=8),
+        Exchange("plain.iges", iges_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-6, "cascadio", tail=8),
+        Exchange("plain.las", las_bytes(CLOUD), "cloud", 1e-8),
+        Exchange("packed.laz", LAZ, "cloud", 1e-8, "lazrs"),
     ]
     return {file.name: file for file in files}
 

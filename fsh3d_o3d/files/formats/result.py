@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, IntArray
+from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.files.formats.polygons import cut_polygons
 from fsh3d_o3d.files.formats.source import Source
 from fsh3d_o3d.geometry import MeshArrays, PointArrays
@@ -60,6 +61,24 @@ def cloud_of(
         normals = None if normals is None else normals[finite]
         colors = None if colors is None else colors[finite]
     return PointArrays(points, normals, colors)
+
+
+def welded(corners: Float64Array) -> tuple[Float64Array, IntArray]:
+    """Return loose triangles (3 t, 3) as vertices and triangles: corners are one where equal to the last bit.
+
+    Raises:
+        GeometryReadError: There are none.
+    """
+    if not len(corners):
+        raise GeometryReadError("the file holds 0 triangles")
+    # Adding 0 turns −0 into +0; then equal numbers have equal bytes, and one comparison sorts a whole corner.
+    bits = np.ascontiguousarray(corners + 0.0)
+    keys = bits.view(np.dtype((np.void, bits.dtype.itemsize * 3))).ravel()
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    order = np.argsort(first)  # vertices in the order of the file, not of their bytes
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return corners[first[order]], rank[inverse.ravel()].reshape(-1, 3)
 
 
 def _finite_rows(points: Float64Array) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryReadError
-from fsh3d_o3d.files.formats.result import mesh_of
+from fsh3d_o3d.files.formats.result import mesh_of, welded
 from fsh3d_o3d.files.formats.source import Source, counted
 from fsh3d_o3d.files.formats.stl_text import text_stl_corners
 from fsh3d_o3d.geometry import MeshArrays
@@ -48,11 +48,11 @@ def parse_stl(source: Source) -> MeshArrays:
     # Many binary headers begin with "solid" too: only the size, or the words behind it, tell the two kinds apart.
     if binary_stl_size(data) != len(data) and _is_text(data):
         corners, ended = text_stl_corners(source)
-        vertices, triangles = _welded(corners)
+        vertices, triangles = welded(corners)
         if not ended:
             _check_whole(source, triangles)
     else:
-        vertices, triangles = _welded(_binary_corners(source))
+        vertices, triangles = welded(_binary_corners(source))
     return mesh_of(source, vertices, triangles)
 
 
@@ -156,16 +156,3 @@ def _with_payload(source: Source, facets: NDArray[np.void], extra: int) -> tuple
     if not one_color and len(pieces) * 2 >= len(facets):
         raise GeometryReadError("truncated or damaged: facets announce more bytes of attributes than the file has")
     return facets, extra
-
-
-def _welded(corners: Float64Array) -> tuple[Float64Array, IntArray]:
-    if not len(corners):
-        raise GeometryReadError("the file holds 0 triangles")
-    # Adding 0 turns −0 into +0; then equal numbers have equal bytes, and one comparison sorts a whole corner.
-    bits = np.ascontiguousarray(corners + 0.0)
-    keys = bits.view(np.dtype((np.void, bits.dtype.itemsize * 3))).ravel()
-    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    order = np.argsort(first)  # vertices in the order of the file, not of their bytes
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return corners[first[order]], rank[inverse.ravel()].reshape(-1, 3)

@@ -42,8 +42,14 @@ PARSERS: dict[str, Parser] = {
     ".pts": parse_pts,
     ".pcd": parse_pcd,
     ".3mf": _when_met("threemf", "parse_3mf"),
+    ".step": _when_met("cad", "parse_step"),
+    ".stp": _when_met("cad", "parse_step"),
+    ".iges": _when_met("cad", "parse_iges"),
+    ".igs": _when_met("cad", "parse_iges"),
+    ".las": _when_met("las", "parse_las"),
+    ".laz": _when_met("las", "parse_las"),
 }
 """A file's extension, and what turns its content into arrays or raises ``GeometryError`` with the reason."""
 
-NOT_TEXT: frozenset[str] = frozenset({".glb", ".3mf"})
+NOT_TEXT: frozenset[str] = frozenset({".glb", ".3mf", ".las", ".laz"})
 """Formats whose first bytes are never a mark of Unicode."""
