@@ -46,6 +46,9 @@ _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("PDF", re.compile(rb"%PDF")),
     ("LAS", re.compile(rb"LASF")),
     ("E57", re.compile(rb"ASTM-E57")),
+    ("TIFF", re.compile(rb"II[*+]\0|MM\0[*+]")),
+    ("NRRD", re.compile(rb"NRRD000")),
+    ("NPY", re.compile(rb"\x93NUMPY")),
     ("ZIP", re.compile(rb"PK\x03\x04")),
     ("GZIP", re.compile(rb"\x1f\x8b")),
     ("HTML", re.compile(rb"\s*<(!doctype html|html)", re.IGNORECASE)),
@@ -63,7 +66,7 @@ _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("JSON", re.compile(rb'\s*(\{\s*["}]|\[\s*[\[{"\d-])')),
     ("OBJ", re.compile(rb"(?s:.){0,3000}?(^|[\r\n])(v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]|mtllib )")),
 )
-_WRITTEN_AS = {"GLTF": "JSON", "3MF": "ZIP", "LAZ": "LAS"}
+_WRITTEN_AS = {"GLTF": "JSON", "3MF": "ZIP", "LAZ": "LAS", "TIF": "TIFF", "NHDR": "NRRD"}
 """Formats whose files are of another, more general one as well."""
 
 

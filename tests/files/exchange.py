@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import struct
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from fsh3d_o3d.files.serialise import Content
 from fsh3d_o3d.files.serialise_las import las_bytes
 from tests.files.mutations import COLORS, TRIANGLES, VERTICES
+from tests.files.volumes import labels, nifti, nrrd
 
 with pytest.MonkeyPatch.context() as _patch:
     _patch.syspath_prepend(str(Path(__file__).parents[2] / "samples"))
@@ -42,7 +44,7 @@ class Exchange:
     data: bytes
     """Content."""
     shape: str = "octahedron"
-    """Or "cloud"."""
+    """Or "cloud", or "labels" of ``volumes``."""
     tolerance: float = 0.0
     """How far coordinates may be off, where the format rounds them."""
     needs: str = ""
@@ -60,6 +62,7 @@ def exchange_files() -> dict[str, Exchange]:
         Exchange("plain.stp", step_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-6, "cascadio", tail=2),
         Exchange("plain.igs", iges_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-6, "cascadio", tail=8),
         Exchange("plain.iges", iges_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-6, "cascadio", tail=8),
+        *_volumes(),
         Exchange("plain.las", las_bytes(CLOUD), "cloud", 1e-8),
         Exchange("packed.laz", LAZ, "cloud", 1e-8, "lazrs"),
     ]
@@ -116,5 +119,36 @@ def _placed_3mf() -> bytes:
     return pack_3mf(model_3mf(text + outer, '<item objectid="5" transform="1 0 0 0 1 0 0 0 1 0 2 3"/>'))
 
 
+def _volumes() -> list[Exchange]:
+    """Volumes of labels; a flipped bit among the voxels goes unseen where nothing is packed."""
+    buffer = io.BytesIO()
+    np.save(buffer, labels())
+    head, body = nrrd(labels(), "gzip")
+    files = [
+        Exchange("labels.nii", nifti(labels()), "labels"),
+        Exchange("labels.nrrd", head + body, "labels"),
+        Exchange("labels.nhdr", head + body, "labels"),
+        Exchange("labels.npy", buffer.getvalue(), "labels"),
+    ]
+    return files + [
+        Exchange(f"labels{ending}", TIFF, "labels", needs="tifffile", tail=4) for ending in (".tif", ".tiff")
+    ]
+
+
+def pack_tiff(pages: np.ndarray) -> bytes:
+    """A stack of pages of one byte a pixel, without compression."""
+    tags = {256: pages.shape[2], 257: pages.shape[1], 258: 8, 259: 1, 262: 1, 277: 1, 278: pages.shape[1]}
+    size = 2 + 12 * (len(tags) + 2) + 4
+    first = 8 + pages.size
+    data = struct.pack("<2sHI", b"II", 42, first) + pages.tobytes()
+    for number, page in enumerate(pages):
+        entries = dict(sorted({**tags, 273: 8 + number * page.size, 279: page.size}.items()))
+        data += struct.pack("<H", len(entries))
+        data += b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in entries.items())
+        data += struct.pack("<I", first + (number + 1) * size if number + 1 < len(pages) else 0)
+    return data
+
+
+TIFF = pack_tiff(np.transpose(labels()))
 FORMATS = {Path(name).suffix for name in exchange_files()}
 """Extensions of these files."""

@@ -49,6 +49,9 @@ def test_read_as_what_it_holds(name, isolated, tmp_path):
     needed(file)
     (tmp_path / name).write_bytes(file.data)
     found = read_geometry_file(tmp_path / name, isolated=isolated)
+    if file.shape == "labels":
+        assert [part.name for part in found.parts] == ["label 3", "label 7"]  # test_volumes.py looks closer
+        return
     # 1e-5: how far corners were rounded, so that they sort the same way
     np.testing.assert_allclose(corners_of(found.geometry), EXPECTED[file.shape], atol=max(file.tolerance, 1e-5))
     if file.shape == "octahedron" and file.tolerance == 0:

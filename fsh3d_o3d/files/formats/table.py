@@ -46,10 +46,18 @@ PARSERS: dict[str, Parser] = {
     ".stp": _when_met("cad", "parse_step"),
     ".iges": _when_met("cad", "parse_iges"),
     ".igs": _when_met("cad", "parse_iges"),
+    ".nii": _when_met("nifti", "parse_nifti"),
+    ".nrrd": _when_met("nrrd", "parse_nrrd"),
+    ".nhdr": _when_met("nrrd", "parse_nrrd"),
+    ".tif": _when_met("tiff", "parse_tiff"),
+    ".tiff": _when_met("tiff", "parse_tiff"),
+    ".npy": _when_met("npy", "parse_npy"),
     ".las": _when_met("las", "parse_las"),
     ".laz": _when_met("las", "parse_las"),
 }
 """A file's extension, and what turns its content into arrays or raises ``GeometryError`` with the reason."""
 
-NOT_TEXT: frozenset[str] = frozenset({".glb", ".3mf", ".las", ".laz"})
+NOT_TEXT: frozenset[str] = frozenset(
+    {".glb", ".3mf", ".las", ".laz", ".nii", ".nrrd", ".nhdr", ".tif", ".tiff", ".npy"}
+)
 """Formats whose first bytes are never a mark of Unicode."""
