@@ -19,14 +19,39 @@ except ModuleNotFoundError as error:
     ) from error
 
 from fsh3d_o3d.torch.coefficients import degree_energies, filter_coefficients, heat_filter
+from fsh3d_o3d.torch.conventions import from_e3nn, to_e3nn
+from fsh3d_o3d.torch.correlation import CorrelationGrid, correlation
+from fsh3d_o3d.torch.encoding import ShellEncoder, encode
 from fsh3d_o3d.torch.evaluation import evaluate, evaluate_gradient
+from fsh3d_o3d.torch.invariants import cross_shell_invariants
+from fsh3d_o3d.torch.layers import QuadraticNonlinearity, ZonalConvolution
+from fsh3d_o3d.torch.rotation import rotate_coefficients
+from fsh3d_o3d.torch.surfaces import ConformalDecoder, DecodedSurface, RadialDecoder
 from fsh3d_o3d.torch.transform import SphericalHarmonicTransform
 
 __all__ = [
+    # transform
     "SphericalHarmonicTransform",
-    "degree_energies",
     "evaluate",
     "evaluate_gradient",
+    # coefficients
+    "cross_shell_invariants",
+    "degree_energies",
     "filter_coefficients",
+    "from_e3nn",
     "heat_filter",
+    "to_e3nn",
+    # rotation
+    "CorrelationGrid",
+    "correlation",
+    "rotate_coefficients",
+    # shapes
+    "ConformalDecoder",
+    "DecodedSurface",
+    "RadialDecoder",
+    "ShellEncoder",
+    "encode",
+    # layers
+    "QuadraticNonlinearity",
+    "ZonalConvolution",
 ]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from fsh3d_o3d.torch import checks
+from fsh3d_o3d.torch.broadcasting import grouped
 from fsh3d_o3d.torch.precision import full_precision
 from fsh3d_o3d.torch.sparse_maps import gradient
 from fsh3d_o3d.torch.sums import synthesise
@@ -67,24 +67,6 @@ def gradient_at(coefficients: Tensor, unit: Tensor) -> Tensor:
 
 
 def _evaluated(coefficients: Tensor, unit: Tensor) -> Tensor:
-    """Functions (…, b²) at unit vectors (…, m, 3) as one or several sums over (d, k, b²) and (d, m, 3)."""
-    own = unit.shape[:-2]
-    if all(size == 1 for size in own):  # the same directions for all
-        flat = coefficients.reshape(1, -1, coefficients.shape[-1])
-        values = synthesise(flat, unit.reshape(1, *unit.shape[-2:]))
-        leading = torch.broadcast_shapes(coefficients.shape[:-1], own)
-        return values.reshape(*leading, unit.shape[-2])
-    try:
-        leading = torch.broadcast_shapes(coefficients.shape[:-1], own)
-    except RuntimeError:
-        raise ValueError(
-            f"the leading axes of directions {tuple(unit.shape)} do not fit those of coefficients "
-            f"{tuple(coefficients.shape)}"
-        ) from None
-    # Trailing axes along which directions are shared stay together as functions of one set of directions.
-    padded = (1,) * (len(leading) - len(own)) + tuple(own)
-    shared = next((k for k in range(len(padded)) if all(size == 1 for size in padded[k:])), len(padded))
-    functions = coefficients.expand(*leading, -1).reshape(leading[:shared].numel(), -1, coefficients.shape[-1])
-    places = unit.reshape(*padded[:shared], *unit.shape[-2:]).expand(*leading[:shared], -1, -1)
-    values = synthesise(functions, places.reshape(-1, *unit.shape[-2:]))
-    return values.reshape(*leading, unit.shape[-2])
+    """Functions (…, b²) at unit vectors (…, m, 3)."""
+    leading, functions, places = grouped(coefficients, unit, 2, "directions")
+    return synthesise(functions, places).reshape(*leading, unit.shape[-2])

@@ -31,4 +31,4 @@ def difference(found: object, expected: object) -> float:
     """Relative difference in the L2 norm."""
     a, b = (np.asarray(part.detach() if isinstance(part, torch.Tensor) else part) for part in (found, expected))
     assert a.shape == b.shape, (a.shape, b.shape)
-    return float(np.linalg.norm(a - b) / max(np.linalg.norm(b), 1e-300))
+    return float(np.linalg.norm(a - b)) / max(float(np.linalg.norm(b)), 1e-300)
