@@ -12,9 +12,10 @@ import numpy as np
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d._value import value
 from fsh3d_o3d.descriptors.neighbourhoods import Float32Array, neighbourhoods
-from fsh3d_o3d.geometry import voxel_cells, voxel_samples
+from fsh3d_o3d.geometry import ThinnedSurface, thinned_surface, voxel_cells
 
-_CELLS = 6.0  # of the lattice that thins the points, to a radius
+CELLS = 6.0
+"""Cells of the lattice that thins the points, to a radius; a choice between noise and time."""
 _LEAST_NEIGHBOURS = 8  # points within the radius; with fewer there is no surface to describe
 
 
@@ -42,7 +43,7 @@ class LocalHarmonics:
 
 
 def local_harmonics(
-    points: Float64Array,
+    points: Float64Array | ThinnedSurface,
     radius: float,
     *,
     keypoints: int | Float64Array = 400,
@@ -52,15 +53,16 @@ def local_harmonics(
     """Describe the surroundings of key points of a shape.
 
     Args:
-        points: (n, 3) on the surface, finite, in any order and of any density. They are thinned here.
+        points: (n, 3) on the surface, finite, in any order and of any density, which are thinned here; or the surface
+            thinned to about ``radius / 6``.
         radius: Of the surroundings, in units of the points; to be compared, both shapes need the same.
         keypoints: About how many are chosen, spread evenly; or (k, 3) positions near the surface.
         bandwidth: Degrees 0 … bandwidth − 1.
         shells: Windows of the distance.
     """
-    thinned, areas = voxel_samples(points, radius / _CELLS)
-    chosen = _spread(thinned, radius / _CELLS, keypoints) if isinstance(keypoints, int) else keypoints
-    found = neighbourhoods(thinned, areas, chosen, radius, bandwidth=bandwidth, shells=shells)
+    surface = points if isinstance(points, ThinnedSurface) else thinned_surface(points, radius / CELLS)
+    chosen = _spread(surface, keypoints) if isinstance(keypoints, int) else keypoints
+    found = neighbourhoods(surface.points, surface.areas, chosen, radius, bandwidth=bandwidth, shells=shells)
     kept = found.counts >= _LEAST_NEIGHBOURS
     if isinstance(keypoints, int) and not kept.all():
         chosen, found = chosen[kept], found.take(kept)
@@ -75,11 +77,12 @@ def local_harmonics(
     )
 
 
-def _spread(thinned: Float64Array, spacing: float, count: int) -> Float64Array:
+def _spread(surface: ThinnedSurface, count: int) -> Float64Array:
     """About ``count`` of the points, one in each cell of a coarser lattice: that nearest to the middle of the cell."""
+    thinned = surface.points
     if len(thinned) <= count:
         return thinned
-    coarse = spacing * np.sqrt(len(thinned) / count)  # of a surface: cells go with the square
+    coarse = surface.spacing * np.sqrt(len(thinned) / count)  # of a surface: cells go with the square
     order, start = voxel_cells(thinned, coarse)
     size = np.diff(start, append=len(thinned))
     ordered = thinned[order]

@@ -58,6 +58,7 @@ from .triangles import triangle_areas as triangle_areas
 from .triangles import triangle_normals as triangle_normals
 from .triangulation import fibonacci_triangulation as fibonacci_triangulation
 from .triangulation import sphere_mesh as sphere_mesh
+from .voxels import ThinnedSurface as ThinnedSurface
+from .voxels import thinned_surface as thinned_surface
 from .voxels import voxel_cells as voxel_cells
 from .voxels import voxel_means as voxel_means
-from .voxels import voxel_samples as voxel_samples
