@@ -20,6 +20,7 @@ from tests.files.volumes import labels, nifti, nrrd
 with pytest.MonkeyPatch.context() as _patch:
     _patch.syspath_prepend(str(Path(__file__).parents[2] / "samples"))
     from _cad_writers import iges_bytes, step_bytes
+    from _survey_writers import Scan, e57_bytes
 
 CLOUD = Content(VERTICES, None, None, COLORS / 255)
 TURNED = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])  # a quarter about z
@@ -63,6 +64,7 @@ def exchange_files() -> dict[str, Exchange]:
         Exchange("plain.igs", iges_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-6, "cascadio", tail=8),
         Exchange("plain.iges", iges_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-6, "cascadio", tail=8),
         *_volumes(),
+        Exchange("scan.e57", e57_bytes([Scan("scan", VERTICES, colors=COLORS / 255)]), "cloud"),
         Exchange("plain.las", las_bytes(CLOUD), "cloud", 1e-8),
         Exchange("packed.laz", LAZ, "cloud", 1e-8, "lazrs"),
     ]

@@ -46,6 +46,7 @@ PARSERS: dict[str, Parser] = {
     ".stp": _when_met("cad", "parse_step"),
     ".iges": _when_met("cad", "parse_iges"),
     ".igs": _when_met("cad", "parse_iges"),
+    ".e57": _when_met("e57", "parse_e57"),
     ".nii": _when_met("nifti", "parse_nifti"),
     ".nrrd": _when_met("nrrd", "parse_nrrd"),
     ".nhdr": _when_met("nrrd", "parse_nrrd"),
@@ -58,6 +59,6 @@ PARSERS: dict[str, Parser] = {
 """A file's extension, and what turns its content into arrays or raises ``GeometryError`` with the reason."""
 
 NOT_TEXT: frozenset[str] = frozenset(
-    {".glb", ".3mf", ".las", ".laz", ".nii", ".nrrd", ".nhdr", ".tif", ".tiff", ".npy"}
+    {".glb", ".3mf", ".las", ".laz", ".e57", ".nii", ".nrrd", ".nhdr", ".tif", ".tiff", ".npy"}
 )
 """Formats whose first bytes are never a mark of Unicode."""
