@@ -72,7 +72,8 @@ def e57_bytes(scans: Sequence[Scan]) -> bytes:
             f'<name type="String"><![CDATA[{scan.name}]]></name><pose type="Structure">'
             f'<rotation type="Structure">{place}</rotation><translation type="Structure">{shift}</translation></pose>'
             f'<points type="CompressedVector" fileOffset="{_physical(start)}" recordCount="{len(scan.points)}">'
-            f'<prototype type="Structure">{prototype}</prototype><codecs type="Vector" allowHeterogeneousChildren="1"/></points></vectorChild>'
+            f'<prototype type="Structure">{prototype}</prototype>'
+            '<codecs type="Vector" allowHeterogeneousChildren="1"/></points></vectorChild>'
         )
     xml = (
         '<?xml version="1.0" encoding="UTF-8"?>\n<e57Root type="Structure" '
