@@ -12,7 +12,9 @@ import errno
 import os
 import secrets
 import stat
+from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 # What file systems answer that cannot ask a folder onto the disk (some network and user-space ones).
 _NOT_FOR_FOLDERS = {errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.EBADF, errno.EACCES, errno.EPERM, errno.EISDIR}
@@ -30,7 +32,8 @@ def atomic_write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
     """
     given = os.fspath(path)
     try:
-        _replace(Path(os.path.realpath(given)), data)
+        with replacement(given) as file:
+            file.write(data)
     except OSError as error:
         if error.errno is None:
             raise
@@ -69,8 +72,14 @@ def sync_folder(path: str | os.PathLike[str]) -> None:
         os.close(descriptor)
 
 
-def _replace(target: Path, data: bytes) -> None:
-    mode = None
+@contextlib.contextmanager
+def replacement(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """A block that writes a new file, which gets its name when the block is done; as ``atomic_write_bytes`` does.
+
+    Raises:
+        OSError: As there, with whatever file name it has.
+    """
+    target, mode = Path(os.path.realpath(path)), None
     with contextlib.suppress(FileNotFoundError):
         mode = target.stat().st_mode
     if mode is not None and stat.S_ISDIR(mode):
@@ -83,7 +92,7 @@ def _replace(target: Path, data: bytes) -> None:
         with open(descriptor, "wb") as file:  # noqa: PTH123 - a descriptor, not a path
             if mode is not None:
                 os.fchmod(descriptor, stat.S_IMODE(mode) & 0o777)
-            file.write(data)
+            yield file
             file.flush()
             os.fsync(descriptor)
         temporary.replace(target)

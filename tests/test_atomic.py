@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fsh3d_o3d import RadialShape, fibonacci_grid
-from fsh3d_o3d._atomic import atomic_write_bytes, sync_file, sync_folder
+from fsh3d_o3d._atomic import atomic_write_bytes, replacement, sync_file, sync_folder
 from fsh3d_o3d.files.writing import write_geometry
 from fsh3d_o3d.geometry.arrays import MeshArrays
 from fsh3d_o3d.sphere import weight_cache
@@ -85,6 +85,21 @@ def test_a_disk_that_fails_before_the_name_is_given_changes_nothing(tmp_path, mo
     assert list(tmp_path.iterdir()) == [path]
     with pytest.raises(OSError, match="error"):
         sync_folder(tmp_path)
+
+
+def test_a_file_that_is_written_bit_by_bit_is_there_in_the_end_or_not_at_all(tmp_path):
+    path = tmp_path / "rows"
+    path.write_bytes(b"old")
+    with pytest.raises(KeyboardInterrupt), replacement(path) as file:
+        file.write(b"half")
+        raise KeyboardInterrupt
+    assert path.read_bytes() == b"old"
+    with replacement(path) as file:
+        file.write(b"first, ")
+        file.write(b"second")
+        assert path.read_bytes() == b"old"
+    assert path.read_bytes() == b"first, second"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_file_system_that_cannot_sync_folders_is_no_error(tmp_path, monkeypatch):

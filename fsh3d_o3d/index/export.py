@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import secrets
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fsh3d_o3d._atomic import sync_file, sync_folder
+from fsh3d_o3d._atomic import replacement
 from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d._printable import encodable
 from fsh3d_o3d.descriptors import SHDOption
@@ -25,20 +23,9 @@ from fsh3d_o3d.index.version import TableVersion
 
 def export_features(models: TableVersion, roots: LibraryRoots, option: SHDOption, target: str) -> int:
     """Write the features of all models; see ``ShapeIndex.export_features``."""
-    place = Path(os.path.realpath(target))
-    temporary = place.with_name(f".fsh3d-{secrets.token_hex(8)}{place.suffix}")
-    try:
-        if place.suffix.lower() == ".npz":
-            number = _write_numpy(temporary, models, roots, option)
-        else:
-            number = _write_parquet(temporary, models, roots, option)
-        sync_file(temporary)
-        temporary.replace(place)
-    finally:
-        with contextlib.suppress(FileNotFoundError):
-            temporary.unlink()
-    sync_folder(place.parent)
-    return number
+    write = _write_numpy if Path(target).suffix.lower() == ".npz" else _write_parquet
+    with replacement(target) as file:
+        return write(file, models, roots, option)
 
 
 def _batches(
@@ -51,7 +38,7 @@ def _batches(
         yield paths, stored_rows(table["signature"], option, models.path).features
 
 
-def _write_numpy(target: Path, models: TableVersion, roots: LibraryRoots, option: SHDOption) -> int:
+def _write_numpy(target: BinaryIO, models: TableVersion, roots: LibraryRoots, option: SHDOption) -> int:
     """Features go into the archive as they come: of a million models they would not fit the memory."""
     length = option.feature_shape[0] * option.feature_shape[1]
     paths: list[bytes] = []
@@ -74,7 +61,7 @@ def _write_numpy(target: Path, models: TableVersion, roots: LibraryRoots, option
     return len(paths)
 
 
-def _write_parquet(target: Path, models: TableVersion, roots: LibraryRoots, option: SHDOption) -> int:
+def _write_parquet(target: BinaryIO, models: TableVersion, roots: LibraryRoots, option: SHDOption) -> int:
     pa, parquet = import_installed("pyarrow"), import_installed("pyarrow.parquet")
     length = option.feature_shape[0] * option.feature_shape[1]
     about = {"shape": "{} {}".format(*option.feature_shape), "metric": option.metric, "fingerprint": option.fingerprint}

@@ -17,7 +17,7 @@ import numpy as np
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, FloatArray, IntArray
-from fsh3d_o3d.sphere.grids import SphericalGrid
+from fsh3d_o3d.sphere.grids import SphericalGrid, locked_directions
 from fsh3d_o3d.sphere.harmonics import MAXIMUM_RECURSION, degrees_and_orders, harmonics_by_degree
 from fsh3d_o3d.sphere.threads import resolve_threads, run_all, single_threaded_blas
 
@@ -140,7 +140,7 @@ class DenseEngine:
             return self._blocks[key]
 
     def _build(self, dtype: np.dtype[Any]) -> tuple[_Block, ...]:
-        points = self.grid.directions[: self._half] if self._symmetric else self.grid.directions
+        points = locked_directions(self.grid)[: self._half if self._symmetric else None]
         b = check.integer(self.bandwidth, "bandwidth of the dense engine", minimum=1, maximum=MAXIMUM_RECURSION)
         check.memory(
             dtype.itemsize * b * b * len(points) * 1.1,

@@ -45,9 +45,9 @@ class SphericalGrid:
     """What the grid is, for people and for cache keys: ``"fibonacci"``, ``"equiangular"``, …"""
 
     def __post_init__(self) -> None:
-        n = len(self.directions)
+        n = len(locked_directions(self))
         for name, shape in (("directions", (n, 3)), ("colatitude", (n,)), ("longitude", (n,))):
-            array = check.unmasked(getattr(self, name), name)
+            array = check.unmasked(vars(self)[name], name)
             if array.shape != shape or n == 0:
                 raise ValueError(f"{name} must have shape {shape} with n >= 1, got {array.shape}")
             if array.flags.writeable:  # the caller's own: left writeable, and copied
@@ -60,7 +60,7 @@ class SphericalGrid:
 
     def __len__(self) -> int:
         """Number of directions."""
-        return len(self.directions)
+        return len(self.colatitude)
 
     @functools.cached_property
     def half_turn_symmetric(self) -> bool:
@@ -68,18 +68,25 @@ class SphericalGrid:
 
         Fibonacci and equiangular grids have this symmetry; transforms use it to halve their work.
         """
-        mirrored = self.directions[::-1] * np.array([1.0, -1.0, -1.0])
+        directions = locked_directions(self)
+        mirrored = directions[::-1] * np.array([1.0, -1.0, -1.0])
         # A few ulp, for grids that others built from angles.
-        return bool(np.abs(mirrored - self.directions).max() <= 1e-15)
+        return bool(np.abs(mirrored - directions).max() <= 1e-15)
 
     @functools.cached_property
     def fingerprint(self) -> str:
         """SHA-256 of the directions: equal grids have equal fingerprints."""
-        return hashlib.sha256(np.ascontiguousarray(self.directions).tobytes()).hexdigest()
+        return hashlib.sha256(np.ascontiguousarray(locked_directions(self)).tobytes()).hexdigest()
+
+
+def locked_directions(grid: SphericalGrid) -> Float64Array:
+    """Return the directions that a grid holds, read-only: no copy, for what only reads them."""
+    directions: Float64Array = vars(grid)["directions"]
+    return directions
 
 
 def _directions(grid: SphericalGrid) -> Float64Array:
-    return np.array(vars(grid)["directions"])
+    return np.array(locked_directions(grid))
 
 
 def _keep_directions(grid: SphericalGrid, value: Float64Array) -> None:

@@ -23,7 +23,7 @@ from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import MemoryEstimateError, QuadratureWarning
 from fsh3d_o3d.sphere import weight_cache
 from fsh3d_o3d.sphere.dense_engine import half_turn_parity
-from fsh3d_o3d.sphere.grids import SphericalGrid, require_grid
+from fsh3d_o3d.sphere.grids import SphericalGrid, locked_directions, require_grid
 from fsh3d_o3d.sphere.harmonics import analyse_exactly, spherical_harmonics
 from fsh3d_o3d.sphere.nufft_engine import NufftEngine, analyse_directly
 from fsh3d_o3d.sphere.threads import resolve_threads, single_threaded_blas
@@ -143,7 +143,7 @@ class _System:
         self.symmetric = grid.half_turn_symmetric and n > 1
         half = (n + 1) // 2 if self.symmetric else n
         self.points = SphericalGrid(
-            grid.directions[:half], grid.colatitude[:half], grid.longitude[:half], f"half of {grid.name}"
+            locked_directions(grid)[:half], grid.colatitude[:half], grid.longitude[:half], f"half of {grid.name}"
         )
         self.multiplicity = np.full(half, 2.0 if self.symmetric else 1.0)
         if self.symmetric and n % 2:
@@ -179,7 +179,7 @@ class _System:
         if self.bandwidth <= _COMPILED_BANDWIDTH:
             moments = analyse_directly(values, bandwidth, self.points)
         else:
-            moments = analyse_exactly(self.points.directions, values, bandwidth)
+            moments = analyse_exactly(locked_directions(self.points), values, bandwidth)
         return np.where(self.kept, self.target - moments, 0.0)
 
     def amplification(self, weights: Float64Array) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tracemalloc
 from fractions import Fraction
 from math import isqrt
 
@@ -16,7 +17,7 @@ from scipy.spatial import cKDTree
 import fsh3d_o3d as fsh
 from fsh3d_o3d import _validation
 from fsh3d_o3d.errors import MemoryEstimateError
-from fsh3d_o3d.sphere.grids import grid_size
+from fsh3d_o3d.sphere.grids import grid_size, locked_directions
 from tests.sphere.oracles import scattered
 
 ALL = {
@@ -206,6 +207,21 @@ def test_constructor_leaves_the_callers_arrays_writeable() -> None:
     grid = fsh.SphericalGrid(np.array([[0.0, 0.0, 1.0]]), theta, np.array([0.0]), "one")
     theta[0] = 1.0  # raises if the grid froze the caller's own array
     assert grid.colatitude.tolist() == [0.0]
+
+
+def test_nothing_is_copied_that_is_only_read() -> None:
+    grid = fsh.fibonacci_grid(60_000)  # 1.4 MB of directions
+    half = fsh.SphericalGrid(
+        locked_directions(grid)[:30_000], grid.colatitude[:30_000], grid.longitude[:30_000], "half"
+    )
+    assert np.shares_memory(locked_directions(half), locked_directions(grid))
+    assert not np.shares_memory(half.directions, locked_directions(grid))
+    tracemalloc.start()
+    try:
+        assert len(grid) == 60_000
+        assert tracemalloc.get_traced_memory()[1] < 100_000
+    finally:
+        tracemalloc.stop()
 
 
 def test_fingerprint_tells_grids_apart() -> None:
