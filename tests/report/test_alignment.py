@@ -64,4 +64,4 @@ def test_same_input_same_picture():
 
 def test_not_a_geometry():
     with pytest.raises(TypeError, match="geometry must be"):
-        alignment_picture("a", TETRAHEDRON, TETRAHEDRON)
+        alignment_picture(1, TETRAHEDRON, TETRAHEDRON)
