@@ -61,7 +61,7 @@ from fsh3d_o3d.index import (
     ShapeIndex,
     ShapeIndexError,
 )
-from fsh3d_o3d.jobs import FailedInput, clear_descriptor_cache
+from fsh3d_o3d.jobs import FailedInput, clear_descriptor_cache, map_files
 from fsh3d_o3d.radial import StarReport, star_center
 from fsh3d_o3d.registration import (
     SphericalRegistrationCandidate,
@@ -223,6 +223,7 @@ __all__ = [
     "StarReport",
     "SurfaceError",
     "from_any",
+    "map_files",
     "read_geometry",
     "repair_mesh",
     "star_center",

@@ -45,17 +45,25 @@ def read_npz(path: str | os.PathLike[str], largest: int) -> Mapping[str, NDArray
         ValueError: It is no such file, damaged, or too large; without the file's name.
     """
     with open_regular(path) as file:
-        size = os.fstat(file.fileno()).st_size
-        if size > largest:
-            raise ValueError(_too_large(size, largest))
-        _require_small_directory(file, size)
-        try:
-            with zipfile.ZipFile(file) as archive:
-                return _arrays(archive, size, largest)
-        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OverflowError) as error:
-            raise ValueError(str(error)) from None
-        except MemoryError:
-            raise ValueError("its arrays need more memory than there is") from None
+        return npz_arrays(file, os.fstat(file.fileno()).st_size, largest)
+
+
+def npz_arrays(file: BinaryIO, size: int, largest: int) -> Mapping[str, NDArray[Any]]:
+    """Return the arrays of an open file of so many bytes, as ``read_npz`` does.
+
+    Raises:
+        ValueError: It is no such file, damaged, or too large.
+    """
+    if size > largest:
+        raise ValueError(_too_large(size, largest))
+    _require_small_directory(file, size)
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return _arrays(archive, size, largest)
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OverflowError) as error:
+        raise ValueError(str(error)) from None
+    except MemoryError:
+        raise ValueError("its arrays need more memory than there is") from None
 
 
 def _arrays(archive: zipfile.ZipFile, size: int, largest: int) -> Mapping[str, NDArray[Any]]:

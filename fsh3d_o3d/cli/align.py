@@ -16,6 +16,7 @@ from fsh3d_o3d.registration import SphericalRegistrationOption, SphericalRegistr
 
 _OF_CANDIDATES = ("transformation", "correlation", "fitness", "inlier_rmse")
 _OF_RESULT = (*_OF_CANDIDATES, "scale", "reflected", "max_correspondence_distance", "confidence", "ambiguity")
+_TRUSTED = 0.2  # confidence, a choice: below it the answer is as likely as not another rotation; exit code 1
 _WHOLE = 0.9  # share of the source near the target; less is said to be another shape, or a part
 
 
@@ -25,7 +26,8 @@ def add_parser(commands: Any) -> None:
         "align",
         help="turn, move and scale a mesh or point cloud onto another, from any position",
         description="Turn, move and scale the source onto the target, wherever both lie, and write it there. Meant for "
-        "shapes seen whole; the confidence tells how far to trust the answer.",
+        "shapes seen whole; the confidence tells how far to trust the answer, and the exit code is 1 "
+        "where it is below 0.2.",
     )
     parser.add_argument("source", help="mesh or point cloud that moves")
     parser.add_argument("target", help="mesh or point cloud that stays")
@@ -84,6 +86,13 @@ def run(options: argparse.Namespace) -> int:
         print_json({**fields(result, *_OF_RESULT), "candidates": candidates})
     else:
         say(*_summary(options, result, targets))
+    if result.confidence < _TRUSTED:
+        say(
+            f"fsh3d: the confidence is below {_TRUSTED:g}: the shapes may differ, or several poses fit alike; look at "
+            "--picture and --json",
+            error=True,
+        )
+        return 1
     return 0
 
 

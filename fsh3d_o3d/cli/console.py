@@ -10,9 +10,8 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from tqdm import tqdm
-
 from fsh3d_o3d._printable import printable
+from fsh3d_o3d._progress import progress_bar
 
 
 def say(*lines: str, error: bool = False) -> None:
@@ -45,12 +44,8 @@ class Progress:
     """A bar over the named steps of one job on standard error; silent when not wanted or not a terminal."""
 
     def __init__(self, steps: int, wanted: bool) -> None:
-        self._bar = tqdm(
-            total=steps,
-            disable=not (wanted and sys.stderr.isatty()),
-            bar_format="{desc:<24} {bar:20} {n_fmt}/{total_fmt} [{elapsed}]",
-            leave=False,
-        )
+        form = "{desc:<24} {bar:20} {n_fmt}/{total_fmt} [{elapsed}]"
+        self._bar = progress_bar(steps, wanted=wanted, bar_format=form)
         self._started = False
 
     def step(self, name: str) -> None:

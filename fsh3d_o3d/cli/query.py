@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import base64
+import dataclasses
 import os
 from collections.abc import Sequence
 from typing import Any
@@ -87,12 +89,17 @@ def _scan(options: argparse.Namespace) -> LibraryScan:
 
 def _print(path: str, hits: Sequence[Hit], options: argparse.Namespace) -> None:
     if options.json:
-        names = ("path", "distance", "rank", "feature_distance", "rotation", "transformation")
-        print_json({"query": path, "hits": [fields(hit, *names) for hit in hits]})
+        print_json({"query": path, "hits": [_as_json(hit) for hit in hits]})
         return
     say(f"{path}:")
     for hit in hits:
         say(f"{hit.rank:>5}  {hit.distance:.4f}  {hit.path}")
+
+
+def _as_json(hit: Hit) -> dict[str, Any]:
+    """All that a hit holds, the thumbnail, a PNG, in base 64."""
+    values = fields(hit, *(field.name for field in dataclasses.fields(hit)))
+    return {**values, "thumbnail": base64.b64encode(hit.thumbnail).decode("ascii")}
 
 
 def _near_duplicates(index: ShapeIndex, options: argparse.Namespace) -> int:

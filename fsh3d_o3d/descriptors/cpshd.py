@@ -91,7 +91,8 @@ def compute_cpshd_feature(mesh: Any, option: CPSHDOption | None = None) -> Any:
         option: ``CPSHDOption()`` if not given.
 
     Returns:
-        ``open3d.pipelines.registration.Feature``; its data is ``option.feature_shape``, float64.
+        ``open3d.pipelines.registration.Feature``; its data is (d, 1), float64: one column, because it is of one shape.
+        ``data.reshape(option.feature_shape)`` has a row for each degree.
 
     Raises:
         TypeError: Not a mesh.
@@ -100,11 +101,11 @@ def compute_cpshd_feature(mesh: Any, option: CPSHDOption | None = None) -> Any:
     Example:
         >>> gem = fsh.read_geometry("samples/gem.stl")
         >>> feature = fsh.compute_cpshd_feature(gem)
-        >>> feature.data.shape[1]
-        3
+        >>> feature.data.shape, fsh.CPSHDOption().feature_shape
+        ((96, 1), (32, 3))
     """
     feature = open3d().pipelines.registration.Feature()
-    feature.data = _energies(mesh, option)
+    feature.data = _energies(mesh, option).reshape(-1, 1)
     return feature
 
 

@@ -7,9 +7,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from fsh3d_o3d import _validation as check
+from fsh3d_o3d._progress import progress_bar
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d._value import value
 from fsh3d_o3d.descriptors.shd import (
@@ -100,7 +100,9 @@ def _aligned(
 ) -> Float64Array:
     """The aligned distances (n, m) where they are wanted, 0 elsewhere; each pair once where both sets are the same."""
     result = np.zeros(wanted.shape)
-    for index in tqdm(range(len(rows)), desc="aligning", unit="model", leave=False, disable=None if progress else True):
+    bar = progress_bar(len(rows), wanted=progress, desc="aligning", unit="model")
+    for index in range(len(rows)):
+        bar.update()
         chosen = wanted[index]
         if same:
             chosen = (chosen | wanted[:, index]) & (np.arange(len(columns)) > index)
@@ -109,6 +111,7 @@ def _aligned(
             result[index, chosen], _ = signature_distances(rows[index], columns[chosen])
         if same:
             result[chosen, index] = result[index, chosen]
+    bar.close()
     return result
 
 

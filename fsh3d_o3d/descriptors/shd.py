@@ -52,10 +52,12 @@ def compute_shd_feature(geometry: Any, option: SHDOption | None = None) -> Any:
 
     Args:
         geometry: Mesh or point cloud, as ``from_any`` takes it.
-        option: ``SHDOption()`` if not given.
+        option: ``SHDOption.best()`` if not given, like ``fsh3d describe`` and ``ShapeIndex``.
 
     Returns:
-        ``open3d.pipelines.registration.Feature``; its data is ``option.feature_shape``, float64.
+        ``open3d.pipelines.registration.Feature``; its data is (d, 1), float64: one column, because it is of one shape.
+        ``data.reshape(option.feature_shape)`` has a row for each degree. Open3D takes columns for the features of
+        points: ``correspondences_from_features`` matches whole shapes by such features, never points of one.
 
     Raises:
         TypeError: Not a geometry.
@@ -63,13 +65,12 @@ def compute_shd_feature(geometry: Any, option: SHDOption | None = None) -> Any:
 
     Example:
         >>> mesh = fsh.read_geometry("samples/gem.stl")
-        >>> fsh.compute_shd_feature(mesh).data.shape
-        (16, 32)
-        >>> fsh.compute_shd_feature(mesh, fsh.SHDOption.best()).data.shape
-        (12, 300)
+        >>> feature = fsh.compute_shd_feature(mesh)
+        >>> feature.data.shape, fsh.SHDOption.best().feature_shape
+        ((3600, 1), (12, 300))
     """
     feature = open3d().pipelines.registration.Feature()
-    feature.data = _described(geometry, option)[0]
+    feature.data = _described(geometry, option)[0].reshape(-1, 1)
     return feature
 
 
@@ -224,7 +225,7 @@ def _plan(option: SHDOption) -> _Plan:
 
 def _checked(option: SHDOption | None) -> SHDOption:
     if option is None:
-        return SHDOption()
+        return SHDOption.best()
     if not isinstance(option, SHDOption):
         raise TypeError(f"option must be an SHDOption, got {type(option).__name__}")
     return option

@@ -74,7 +74,7 @@ def evaluate_models(
         descriptor: What to evaluate.
         workers: Processes; by default one for each core that this process may use.
         cache: Use and fill the cache of descriptors.
-        progress: Show a bar on standard error if that is a terminal.
+        progress: Show a bar, on a terminal or in a notebook.
         neighbors: Also score rankings by ``neighborhood_distances`` with this many neighbours.
 
     Raises:

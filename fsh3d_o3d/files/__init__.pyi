@@ -1,6 +1,7 @@
 from .child_process import ChildProcess as ChildProcess
 from .child_process import end_after as end_after
 from .child_process import fill_standard_descriptors as fill_standard_descriptors
+from .formats import Source as Source
 from .formats import format_of as format_of
 from .formats import is_readable as is_readable
 from .object_storage import absolute as absolute
@@ -14,6 +15,7 @@ from .object_storage import require_no_credentials as require_no_credentials
 from .object_storage import storage_error as storage_error
 from .parsing import file_content as file_content
 from .parsing import parse_content as parse_content
+from .parsing import parse_with as parse_with
 from .reading import READABLE_FORMATS as READABLE_FORMATS
 from .reading import read_geometry as read_geometry
 from .reading import read_geometry_arrays as read_geometry_arrays

@@ -20,6 +20,8 @@ from fsh3d_o3d.errors import GeometryError, GeometryReadError
 from fsh3d_o3d.files.formats import (
     NOT_TEXT,
     PARSERS,
+    PARSERS_ABOVE,
+    Parser,
     ReadFile,
     Source,
     binary_stl_size,
@@ -66,7 +68,7 @@ _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("JSON", re.compile(rb'\s*(\{\s*["}]|\[\s*[\[{"\d-])')),
     ("OBJ", re.compile(rb"(?s:.){0,3000}?(^|[\r\n])(v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]|mtllib )")),
 )
-_WRITTEN_AS = {"GLTF": "JSON", "3MF": "ZIP", "LAZ": "LAS", "TIF": "TIFF", "NHDR": "NRRD"}
+_WRITTEN_AS = {"GLTF": "JSON", "3MF": "ZIP", "LAZ": "LAS", "TIF": "TIFF", "NHDR": "NRRD", "NPZ": "ZIP"}
 """Formats whose files are of another, more general one as well."""
 
 
@@ -119,9 +121,14 @@ def parse_content(path: str, data: bytes) -> ReadFile:
         name, source.data, source.content_beside = unpacked(path, data, source.content_beside)
         if source.data is not data:
             _check_not_blank(source.data)
-        parser = PARSERS[format_of(name)]
+        above = PARSERS_ABOVE.get(format_of(name))
+        parser = above or PARSERS[format_of(name)]
         # The header of a binary STL may begin with anything, also with the bytes of a byte-order mark.
-        if format_of(name) not in NOT_TEXT and not (parser is parse_stl and has_binary_header(source.data)):
+        if (
+            not above
+            and format_of(name) not in NOT_TEXT
+            and not (parser is parse_stl and has_binary_header(source.data))
+        ):
             source.data = plain_text(source)
         with np.errstate(all="ignore"):  # what is not finite is an error, not a warning
             geometry = parser(source)
@@ -134,18 +141,24 @@ def parse_content(path: str, data: bytes) -> ReadFile:
     return ReadFile(geometry, tuple(source.notes), tuple(source.used.values()), tuple(source.parts))
 
 
+def parse_with(extension: str, parser: Parser) -> None:
+    """Say what parses files of an extension that no folder below knows, such as shapes'; called when it is loaded."""
+    PARSERS_ABOVE[extension] = parser
+
+
 def require_readable(path: str) -> None:
     """Refuse a file whose extension, in whatever case, names no format that is read.
 
     Raises:
         GeometryReadError: It names none.
     """
-    if not is_readable(path):
+    if not is_readable(path) and format_of(path) not in PARSERS_ABOVE:
         suffix = Path(path).suffix.lower()
         named = f"{suffix!r} is not a format that is read" if suffix else "the name has no extension"
         if suffix == ".gz":
             named = "what is packed is not of a format that is read"
-        raise read_error(path, f"{named}; readable are {' '.join(PARSERS)}, also packed as .gz or .zip")
+        known = " ".join([*PARSERS, *PARSERS_ABOVE])
+        raise read_error(path, f"{named}; readable are {known}, also packed as .gz or .zip")
 
 
 def read_error(path: str, reason: str) -> GeometryReadError:

@@ -15,7 +15,7 @@ from typing import Any
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._printable import printable
 from fsh3d_o3d.errors import GeometryReadWarning
-from fsh3d_o3d.files.formats import PARSERS, ReadFile
+from fsh3d_o3d.files.formats import PARSERS, PARSERS_ABOVE, ReadFile, format_of
 from fsh3d_o3d.files.object_storage import absolute
 from fsh3d_o3d.files.parsing import read_file, require_readable
 from fsh3d_o3d.files.reader_process import ReaderProcess
@@ -42,8 +42,8 @@ def read_geometry_arrays(
     placed as they stand while no animation plays, STL corners are welded where they are equal to the last bit; other
     duplicate vertices stay).
     Points: ``.xyz .xyzn .xyzrgb .pts .pcd``, and ``.ply .obj .off`` and glTF without faces, with normals and colours
-    where the file has them. Buffers of a ``.gltf`` may lie in the same folder under a plain name; nothing else is
-    opened.
+    where the file has them. Shapes: ``.npz`` as ``Shape.save`` writes it, decoded to a mesh. Buffers of a ``.gltf`` may
+    lie in the same folder under a plain name; nothing else is opened.
 
     Args:
         path: The file; its extension names the format. Also ``s3://bucket/name`` and the like, with the credentials
@@ -77,7 +77,7 @@ def read_geometry_file(
     timeout = check.seconds(timeout, "timeout")
     memory_limit = check.memory_limit(memory_limit, "memory_limit")
     require_readable(name)
-    if not isolated:
+    if not isolated or format_of(name) in PARSERS_ABOVE:  # which the reader, a small process, does not load
         return read_file(name)
     return _reader.read(name, timeout=timeout, memory_limit=memory_limit)
 

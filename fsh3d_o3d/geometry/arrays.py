@@ -170,7 +170,7 @@ def rearranged(
     )
 
 
-def flipped(mesh: MeshArrays, which: NDArray[np.bool_]) -> MeshArrays:
+def turned_over(mesh: MeshArrays, which: NDArray[np.bool_]) -> MeshArrays:
     """Return the mesh with some of its triangles (t,) wound the other way round."""
     order = (0, 2, 1)
     uvs = mesh.texture_uvs

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fsh3d_o3d._validation import Float64Array, IntArray, integer
 from fsh3d_o3d._value import value
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry.arrays import MeshArrays, flipped, rearranged
+from fsh3d_o3d.geometry.arrays import MeshArrays, rearranged, turned_over
 from fsh3d_o3d.geometry.rays import UnitCube
 from fsh3d_o3d.geometry.topology import EdgeTable, components
 from fsh3d_o3d.geometry.triangles import degenerate, even_places, points_at, solid_volume, triangle_areas
@@ -151,7 +151,7 @@ def oriented(mesh: MeshArrays) -> MeshArrays | None:
         turned = np.where(flips[:, None], turned[:, (0, 2, 1)], turned)
     if solid_volume(_in_unit_cube(mesh)[1][turned])[0] < 0:
         flips = ~flips
-    return flipped(mesh, flips) if flips.any() else mesh
+    return turned_over(mesh, flips) if flips.any() else mesh
 
 
 def enclosed_volume(mesh: MeshArrays) -> float | None:

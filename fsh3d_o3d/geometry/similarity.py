@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, flipped
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays, turned_over
 
 
 def transformed(geometry: MeshArrays | PointArrays, transformation: Float64Array) -> MeshArrays | PointArrays:
@@ -18,4 +18,4 @@ def transformed(geometry: MeshArrays | PointArrays, transformation: Float64Array
     if isinstance(geometry, PointArrays):
         return replace(geometry, points=geometry.points @ linear.T + shift, normals=turned)
     moved = replace(geometry, vertices=geometry.vertices @ linear.T + shift, normals=turned)
-    return flipped(moved, np.full(len(moved.triangles), fill_value=True)) if determinant < 0 else moved
+    return turned_over(moved, np.full(len(moved.triangles), fill_value=True)) if determinant < 0 else moved

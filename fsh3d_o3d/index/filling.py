@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import sys
 import time
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -11,8 +10,7 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any, TypeVar
 
-from tqdm import tqdm
-
+from fsh3d_o3d._progress import progress_bar
 from fsh3d_o3d._value import value
 from fsh3d_o3d.descriptors import SHDOption
 from fsh3d_o3d.index.extraction import Described, DescribeFile, FileState, identity
@@ -112,7 +110,7 @@ class Filling:
             todo[path] = state
         describe = replace(describe, option=self.option, known=self._known)
         map_over = functools.partial(run_elsewhere or run_tasks, workers=workers, timeout=timeout)
-        with tqdm(total=len(todo), unit="model", leave=False, disable=not (progress and sys.stderr.isatty())) as bar:
+        with progress_bar(len(todo), wanted=progress, unit="model") as bar:
             self._work(todo, describe, reasons, map_over, bar)
             if self._lost:
                 # Their content was known from rows that are gone since, as two files that swapped names leave it where

@@ -191,7 +191,7 @@ class ShapeIndex:
             retry_failed: Try again what failed before.
             thumbnail: Draws a picture of each, as ``fsh3d_o3d.report.library_thumbnail`` does; None: none.
             memory_limit: Bytes that one file may take.
-            progress: Show a bar on standard error if that is a terminal.
+            progress: Show a bar, on a terminal or in a notebook.
             engine: ``"local"``: on this machine. ``"ray"``: on a Ray cluster, every machine of which sees the files
                 under the same paths and has this package; rows come back here and are written here, the same as with
                 the local engine. Needs the extra ``ray``.

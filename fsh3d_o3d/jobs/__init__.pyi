@@ -8,6 +8,7 @@ from .extraction import Extraction as Extraction
 from .extraction import FailedInput as FailedInput
 from .extraction import extract_descriptors as extract_descriptors
 from .extraction import reason_line as reason_line
+from .mapping import map_files as map_files
 from .ray_tasks import run_tasks_on_ray as run_tasks_on_ray
 from .worker_pool import Outcome as Outcome
 from .worker_pool import run_tasks as run_tasks

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -15,10 +14,10 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._printable import printable
+from fsh3d_o3d._progress import progress_bar
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d._value import value
 from fsh3d_o3d.files import read_geometry_file
@@ -92,19 +91,19 @@ def extract_descriptors(
         workers: Processes; by default one for each core that this process may use.
         cache: Look descriptors up by the content of their files, and keep those computed (see ``descriptor_cache``).
         timeout: Seconds that one file may take.
-        progress: Show a bar on standard error if that is a terminal.
+        progress: Show a bar, on a terminal or in a notebook.
 
     Raises:
         RuntimeError: The worker processes do not start, or descriptors differ in length.
     """
-    workers = _available_cores() if workers is None else check.integer(workers, "workers", minimum=1, maximum=1024)
+    workers = available_cores() if workers is None else check.integer(workers, "workers", minimum=1, maximum=1024)
     timeout = check.seconds(timeout, "timeout")
     names = [os.fsdecode(path) for path in paths]
     entries: dict[int, CachedDescriptor] = {}
     reasons: dict[int, str] = {}
     with (
         DescriptorCache() if cache else nullcontext() as store,
-        tqdm(total=len(names), unit="model", leave=False, disable=not (progress and sys.stderr.isatty())) as bar,
+        progress_bar(len(names), wanted=progress, unit="model") as bar,
     ):
         states = [_state(name) for name in names]
         keys: list[bytes | None] = [None] * len(names)
@@ -157,7 +156,8 @@ class _Describe:
         return CachedDescriptor(values, time.process_time() - start)
 
 
-def _available_cores() -> int:
+def available_cores() -> int:
+    """Return how many cores this process may use."""
     # Not capped by OMP_NUM_THREADS, which is about threads within a process.
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

@@ -35,6 +35,25 @@ _START_TIMEOUT = 120.0  # seconds; starting takes one, on a loaded machine or a 
 _POLL_INTERVAL = 0.5  # seconds between looks at signals: one that another thread has got wakes nobody who waits
 
 
+_NO_GUARD = (
+    "worker processes import the script again that passes a function of its own: put what the script does below "
+    'if __name__ == "__main__":'
+)
+_NO_MODULE = (
+    "worker processes cannot find the function: it is of a prompt, a notebook or python -c; write it into a file and "
+    "import it from there"
+)
+_starting = False  # whether this is a worker process that imports the caller's script
+
+
+@dataclass(frozen=True)
+class _NotStarted:
+    """What a process sends that cannot begin."""
+
+    reason: str
+    """In one line."""
+
+
 @dataclass(frozen=True)
 class Outcome(Generic[Result]):
     """What became of one task: a result or a reason."""
@@ -59,8 +78,10 @@ def run_tasks(
         timeout: Seconds after which a task's process is killed.
 
     Raises:
-        RuntimeError: A process does not start.
+        RuntimeError: A process does not start, or this is one that is only just importing the script that started it.
     """
+    if _starting:
+        raise RuntimeError(_NO_GUARD)
     pending = deque(enumerate(tasks))
     pool: list[_Worker] = []
     start = partial(_Worker, bytes(ForkingPickler.dumps(function)), path_for_processes())
@@ -130,6 +151,8 @@ class _Worker:
         except (EOFError, OSError):
             cause = _cause(self._process.wait())
             return False, Outcome(self._in_hand(cause), None, f"the process describing it {cause}")
+        if isinstance(answer, _NotStarted):
+            raise RuntimeError(answer.reason)
         return True, None if answer is None else Outcome(self._in_hand(""), *answer)
 
     def too_late(self, timeout: float) -> Outcome[Any]:
@@ -168,8 +191,12 @@ def serve(descriptor: int) -> None:
         Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
     pipe = Connection(descriptor)
     main_module, pickled = pipe.recv()
-    spawn.prepare(main_module)
-    function = pickle.loads(pickled)
+    try:
+        function = _function(main_module, pickled)
+    except BaseException as error:  # a script may also exit
+        with contextlib.suppress(OSError):
+            pipe.send(_NotStarted(_why_not_started(error, main_module)))
+        return
     with contextlib.suppress(EOFError, OSError):
         pipe.send(None)
         while True:
@@ -178,6 +205,24 @@ def serve(descriptor: int) -> None:
             answer = _answer(function, task)
             end_after(0)
             pipe.send(answer)
+
+
+def _function(main_module: dict[str, Any], pickled: bytes) -> Callable[[Any], Any]:
+    """Return the function, after its script, if it is of one, was imported."""
+    global _starting
+    _starting = True
+    spawn.prepare(main_module)
+    _starting = False
+    function: Callable[[Any], Any] = pickle.loads(pickled)
+    return function
+
+
+def _why_not_started(error: BaseException, main_module: dict[str, Any]) -> str:
+    if str(error) == _NO_GUARD:
+        return _NO_GUARD
+    if isinstance(error, AttributeError) and "__main__" in str(error) and not main_module:
+        return _NO_MODULE
+    return f"a worker process cannot load the function: {type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _answer(function: Callable[[Any], Any], task: Any) -> tuple[Any, str | None]:

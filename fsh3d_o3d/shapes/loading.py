@@ -7,6 +7,8 @@ from dataclasses import Field, fields
 from typing import Any
 
 from fsh3d_o3d.errors import GeometryReadError
+from fsh3d_o3d.files import Source, parse_with
+from fsh3d_o3d.geometry import MeshArrays
 from fsh3d_o3d.shapes.attributes import attributes_from_arrays
 from fsh3d_o3d.shapes.conformal import ConformalShape
 from fsh3d_o3d.shapes.radial import RadialShape
@@ -14,6 +16,8 @@ from fsh3d_o3d.shapes.shell import ShellShape
 from fsh3d_o3d.shapes.storage import STORED_NAMES, read_arrays
 
 __all__ = ["load_shape"]
+
+_NAMELESS = "shape.npz"  # stands for a file whose name its reader tells
 
 
 def load_shape(path: str | os.PathLike[str]) -> RadialShape | ShellShape | ConformalShape:
@@ -30,7 +34,23 @@ def load_shape(path: str | os.PathLike[str]) -> RadialShape | ShellShape | Confo
         >>> type(shape).__name__, shape.bandwidth
         ('RadialShape', 8)
     """
-    name, arrays = read_arrays(path)
+    return _shape(path, *read_arrays(path))
+
+
+def _surface(source: Source) -> MeshArrays:
+    """Return the surface of a shape's file: so that a shape can be given wherever geometry can."""
+    try:
+        return _shape(_NAMELESS, *read_arrays(_NAMELESS, source.data)).mesh_arrays()[0]
+    except GeometryReadError as error:
+        raise GeometryReadError(str(error).removeprefix(f"{_NAMELESS}: ")) from None
+
+
+parse_with(".npz", _surface)
+
+
+def _shape(
+    path: str | os.PathLike[str], name: str, arrays: dict[str, Any]
+) -> RadialShape | ShellShape | ConformalShape:
     for shape in (RadialShape, ShellShape, ConformalShape):
         if shape.__name__ == name:
             try:
@@ -39,6 +59,8 @@ def load_shape(path: str | os.PathLike[str]) -> RadialShape | ShellShape | Confo
                 raise
             except (ValueError, TypeError) as error:
                 raise GeometryReadError(f"{os.fspath(path)}: {error}") from None
+    if name == "features":
+        raise GeometryReadError(f"{os.fspath(path)}: it holds features, as fsh3d describe writes them, and no shape")
     raise GeometryReadError(f"{os.fspath(path)}: a shape of kind {name!r}, which this version does not know")
 
 

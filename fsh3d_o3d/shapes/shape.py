@@ -80,7 +80,7 @@ class Shape(Protocol):
         """Decode to an Open3D ``PointCloud`` of n points, with normals, colours and other attributes."""
 
     def compute_feature(self) -> Any:
-        """Return energies per degree as an Open3D ``Feature``."""
+        """Return energies per degree as an Open3D ``Feature`` of shape (d, 1)."""
 
     def truncated(self, bandwidth: int) -> Self:
         """Return the shape of the degrees below ``bandwidth``."""
@@ -167,7 +167,7 @@ class HarmonicShape:
 
 
 def feature_of(energies: FloatArray) -> Any:
-    """Return energies (b, k) as an Open3D ``Feature``."""
+    """Return energies, of any number of axes, as an Open3D ``Feature`` of one column: it is of one shape."""
     feature = open3d().pipelines.registration.Feature()
-    feature.data = np.ascontiguousarray(energies)
+    feature.data = np.ascontiguousarray(energies).reshape(-1, 1)
     return feature

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from fsh3d_o3d import _validation as check
+from fsh3d_o3d._progress import progress_bar
 from fsh3d_o3d._validation import Float64Array, FloatArray
 from fsh3d_o3d._value import value
 from fsh3d_o3d.geometry import (
@@ -135,7 +134,7 @@ class ShellShape(HarmonicShape):
             carry: Whether the geometry's own colours, texture coordinates and attributes are carried along.
             oversampling: Directions in units of 4b²; 1.5 if not given.
             threads: Number of threads, or None for all that the process may use. Does not change the result.
-            progress: Show a bar on standard error if that is a terminal.
+            progress: Show a bar, on a terminal or in a notebook.
 
         Raises:
             GeometryError: Empty, not finite, without extent or area; a cloud without normals or a surface that
@@ -165,7 +164,7 @@ class ShellShape(HarmonicShape):
         grid = fibonacci_grid(size)
         # Out along each direction, so that neighbours share their side of the surface.
         places = grid.directions[:, None] * radii[:, None]
-        with tqdm(total=1.0, desc="sampling", leave=False, disable=not (progress and sys.stderr.isatty())) as bar:
+        with progress_bar(1.0, wanted=progress, desc="sampling") as bar:
             samples = source.sample(places, threads=threads, progress=lambda share: bar.update(share - bar.n)).T
         transform = SphericalHarmonicTransform(b, grid=grid, threads=threads)
         coefficients = np.asarray(transform.forward(samples), dtype=np.float64)
@@ -318,13 +317,14 @@ class ShellShape(HarmonicShape):
         return open3d_point_cloud(with_point_values(points, facing, values), chosen_kind(kind, self.kind))
 
     def compute_feature(self) -> Any:
-        """Return the energies per degree and shell as an Open3D ``Feature`` of shape (b, S).
+        """Return the energies per degree and shell as an Open3D ``Feature`` of shape (b·S, 1), degree after degree.
 
-        They do not change when the input is rotated about the centre, moved or scaled.
+        ``data.reshape(b, S)`` has a row for each degree. They do not change when the input is rotated about the centre,
+        moved or scaled.
 
         Example:
             >>> shape.compute_feature().data.shape
-            (8, 12)
+            (96, 1)
         """
         return feature_of(degree_energies(self.coefficients).T)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._atomic import atomic_write_bytes
-from fsh3d_o3d._npz import ENTRY, packing, read_npz
+from fsh3d_o3d._npz import ENTRY, npz_arrays, packing, read_npz
 from fsh3d_o3d.errors import GeometryReadError
 
 FORMAT_VERSION = 1
@@ -44,8 +44,12 @@ def write_arrays(path: str | os.PathLike[str], kind: str, arrays: Mapping[str, N
     atomic_write_bytes(path, buffer.getvalue())
 
 
-def read_arrays(path: str | os.PathLike[str]) -> tuple[str, dict[str, NDArray[Any]]]:
+def read_arrays(path: str | os.PathLike[str], data: bytes | None = None) -> tuple[str, dict[str, NDArray[Any]]]:
     """Read what ``write_arrays`` wrote: the kind and the arrays.
+
+    Args:
+        path: The file.
+        data: Its content, where it is known.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -53,13 +57,25 @@ def read_arrays(path: str | os.PathLike[str]) -> tuple[str, dict[str, NDArray[An
     """
     name = os.fspath(path)
     try:
-        arrays = dict(read_npz(path, _MAXIMUM_BYTES))
+        given = (
+            read_npz(path, _MAXIMUM_BYTES) if data is None else npz_arrays(io.BytesIO(data), len(data), _MAXIMUM_BYTES)
+        )
+        arrays = dict(given)
     except FileNotFoundError:
         raise
     except OSError as error:
         raise GeometryReadError(f"{name}: {error.strerror or error}") from None
     except ValueError as error:
         raise GeometryReadError(f"{name}: not a shape file, or damaged ({error})") from None
+    return _checked(name, arrays)
+
+
+def _checked(name: str, arrays: dict[str, NDArray[Any]]) -> tuple[str, dict[str, NDArray[Any]]]:
+    """Return what the arrays of a file are, and those without what says so.
+
+    Raises:
+        GeometryReadError: Not such a file, or of a newer version.
+    """
     if "format" not in arrays or str(arrays.pop("format")) != "fsh3d_o3d" or not {"version", "kind"} <= arrays.keys():
         raise GeometryReadError(f"{name}: an .npz, but not one of fsh3d_o3d")
     version = arrays.pop("version")

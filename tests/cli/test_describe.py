@@ -115,3 +115,19 @@ def test_an_input_is_not_overwritten(tmp_path):
     (tmp_path / "folder.npz").mkdir()
     with pytest.raises(ValueError, match="is a folder"):
         run(GEM, "-o", tmp_path / "folder.npz")
+
+
+def test_a_folder_is_all_that_is_below_it(tmp_path, capsys):
+    (tmp_path / "parts" / "deep").mkdir(parents=True)
+    for source, name in ((GEM, "gem.stl"), (HORN, "deep/horn.off"), (BROKEN, "deep/broken.off")):
+        (tmp_path / "parts" / name).write_bytes(source.read_bytes())
+    (tmp_path / "parts" / "notes.txt").write_text("no shape")
+    target = tmp_path / "f.npz"
+    assert run(tmp_path / "parts", HORN, "-o", target, "--json", "--workers", "2") == 1
+    out, err = capsys.readouterr()
+    assert [Path(path).name for path in read_arrays(target)[1]["paths"]] == ["gem.stl", "horn.off", "horn.off"]
+    assert [Path(one["path"]).name for one in json.loads(out)["failed"]] == ["broken.off"]
+    assert ".txt 1" in err
+    (tmp_path / "empty").mkdir()
+    assert run(tmp_path / "empty", "-o", target) == 2
+    assert "no meshes or point clouds in this folder" in capsys.readouterr().err

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import dataclasses
 import errno
 import json
 import os
@@ -13,6 +15,7 @@ import pytest
 from fsh3d_o3d.cli import main
 from fsh3d_o3d.files.writing import write_geometry
 from fsh3d_o3d.geometry.arrays import MeshArrays
+from fsh3d_o3d.index import Hit
 from tests.geometry.mesh_shapes import screw
 from tests.index.index_cases import write_library
 
@@ -56,6 +59,8 @@ def test_query_prints_hits(indexed, capsys):
     answer = json.loads(capsys.readouterr().out)
     assert answer["query"] == str(query)
     assert [hit["rank"] for hit in answer["hits"]] == [1, 2, 3]
+    assert all(set(hit) == {field.name for field in dataclasses.fields(Hit)} for hit in answer["hits"])
+    assert all(base64.b64decode(hit["thumbnail"]).startswith(b"\x89PNG") for hit in answer["hits"])
     distances = [hit["distance"] for hit in answer["hits"]]
     assert distances == sorted(distances)
     # The file and its copy under the hostile name: the same distance, up to the rounding of the alignment.

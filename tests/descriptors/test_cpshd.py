@@ -33,10 +33,11 @@ def change(first, second):
 def test_a_sphere_has_degree_one_alone_and_alike_in_all_axes():
     feature = compute_cpshd_feature(open3d_mesh(ball()), CPSHDOption(bandwidth=8, map=CONFORMAL))
     assert isinstance(feature, open3d().pipelines.registration.Feature)
-    assert feature.data.shape == (8, 3)
+    assert feature.data.shape == (24, 1)
+    data = feature.data.reshape(8, 3)
     # The chords of 16² · 20 triangles lie below the sphere by 1e-3.
-    np.testing.assert_allclose(feature.data[1], np.sqrt(1 / 3), atol=1e-3)
-    assert np.linalg.norm(np.delete(feature.data, 1, axis=0)) < 5e-3
+    np.testing.assert_allclose(data[1], np.sqrt(1 / 3), atol=1e-3)
+    assert np.linalg.norm(np.delete(data, 1, axis=0)) < 5e-3
 
 
 @pytest.mark.parametrize("form", ["axes", "pooled"])

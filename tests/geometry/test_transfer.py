@@ -8,7 +8,7 @@ import pytest
 import fsh3d_o3d as fsh
 from fsh3d_o3d import MeshArrays, PointArrays
 from fsh3d_o3d.geometry import oriented, rearranged, transformed, values_near, weld, with_values_of, without_collapsed
-from fsh3d_o3d.geometry.arrays import flipped
+from fsh3d_o3d.geometry.arrays import turned_over
 
 VERTICES, TRIANGLES = fsh.icosphere(3)
 COLORS = (VERTICES + 1) / 2
@@ -34,7 +34,7 @@ def soup(mesh):
 
 
 def test_values_follow_their_vertices():
-    turned = flipped(MESH, np.arange(len(TRIANGLES)) % 3 == 0)
+    turned = turned_over(MESH, np.arange(len(TRIANGLES)) % 3 == 0)
     agrees(turned)
     loose = soup(turned)
     agrees(loose)

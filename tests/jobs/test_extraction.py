@@ -116,9 +116,9 @@ def test_wrong_use(tmp_path):
 
 
 def test_processes_that_do_not_start(tmp_path, capfd):
-    with pytest.raises(RuntimeError, match="did not start: it ended with exit code 1"):
+    with pytest.raises(RuntimeError, match="cannot load the function: ValueError: invalid literal"):
         extract_descriptors([write_box(tmp_path / "a.off")], toys.DoesNotArrive(), workers=1, cache=False)
-    assert "Traceback" in capfd.readouterr().err  # Python's own, from the process
+    assert capfd.readouterr().err == ""
 
 
 def test_processes_end_before_the_error_is_handled(tmp_path, own_cache, monkeypatch):

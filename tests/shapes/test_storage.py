@@ -12,6 +12,7 @@ import pytest
 import fsh3d_o3d as fsh
 from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.jobs.descriptor_cache import descriptor_key
+from fsh3d_o3d.shapes import write_arrays
 
 
 @pytest.fixture
@@ -200,3 +201,30 @@ def test_what_is_no_regular_file_is_not_waited_for(tmp_path):
         with pytest.raises(OSError, match="is not a regular file"):
             fsh.read_classification(tmp_path / f"{name}.npz")
         assert descriptor_key(tmp_path / f"{name}.npz", "") is None
+
+
+@pytest.mark.parametrize("shape", [fsh.RadialShape, fsh.ShellShape, fsh.ConformalShape])
+def test_a_shape_is_geometry_wherever_that_is_asked_for(shape, tmp_path):
+    vertices, triangles = fsh.icosphere(4)
+    path = tmp_path / "egg.NPZ"
+    encoded = shape.from_geometry((vertices * [1.0, 1.2, 1.5], triangles), 4, attributes={"height": vertices[:, 2]})
+    encoded.save(path)
+    mesh = encoded.mesh_arrays()[0]
+    assert fsh.from_any(path) == mesh
+    assert len(fsh.read_geometry(path).triangles) == len(mesh.triangles)
+    assert fsh.surface_error(path, (vertices * [1.0, 1.2, 1.5], triangles), samples=1000).relative().rmse < 0.2
+    index = fsh.ShapeIndex.open(tmp_path / "index", create=True)
+    assert index.add_files([path]).added == 1
+    assert index.query(path)[0].path == str(path)
+
+
+def test_other_npz_files_are_no_geometry(tmp_path):
+    np.savez(tmp_path / "a.npz", vertices=np.eye(3))
+    with pytest.raises(GeometryReadError, match=r"a\.npz: an \.npz, but not one of fsh3d_o3d"):
+        fsh.from_any(tmp_path / "a.npz")
+    write_arrays(tmp_path / "f.npz", "features", {"features": np.eye(3)})
+    with pytest.raises(GeometryReadError, match="it holds features"):
+        fsh.from_any(tmp_path / "f.npz")
+    (tmp_path / "t.npz").write_bytes((tmp_path / "f.npz").read_bytes()[:-30])
+    with pytest.raises(GeometryReadError, match=r"t\.npz: .*(damaged|its end is missing)"):
+        fsh.read_geometry(tmp_path / "t.npz")

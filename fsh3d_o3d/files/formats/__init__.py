@@ -6,11 +6,12 @@ from fsh3d_o3d.files.formats.archives import format_of, is_readable, unpacked
 from fsh3d_o3d.files.formats.encoding import check_not_a_pointer, plain_text
 from fsh3d_o3d.files.formats.source import Part, ReadFile, Source
 from fsh3d_o3d.files.formats.stl import binary_stl_size, has_binary_header, parse_stl
-from fsh3d_o3d.files.formats.table import NOT_TEXT, PARSERS, Parser
+from fsh3d_o3d.files.formats.table import NOT_TEXT, PARSERS, PARSERS_ABOVE, Parser
 
 __all__ = [
     "NOT_TEXT",
     "PARSERS",
+    "PARSERS_ABOVE",
     "Parser",
     "Part",
     "ReadFile",

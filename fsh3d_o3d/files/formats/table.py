@@ -62,3 +62,7 @@ NOT_TEXT: frozenset[str] = frozenset(
     {".glb", ".3mf", ".las", ".laz", ".e57", ".nii", ".nrrd", ".nhdr", ".tif", ".tiff", ".npy"}
 )
 """Formats whose first bytes are never a mark of Unicode."""
+
+PARSERS_ABOVE: dict[str, Parser] = {}
+"""Extension and function of what folders above this one understand, such as the coefficients of a shape; they say so
+when they are loaded (``files.parse_with``), and it is parsed in the caller's process."""
