@@ -6,9 +6,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fsh3d_o3d.descriptors import local_harmonics
+from fsh3d_o3d.geometry import thinned_surface
 from fsh3d_o3d.registration.fit import Poses
+from fsh3d_o3d.registration.lattice import SurfaceLattice, distinct
 from fsh3d_o3d.registration.local_poses import local_poses
 from fsh3d_o3d.registration.occupancy import Occupancy
+from fsh3d_o3d.registration.settling import Ground
 from tests.descriptors.test_neighbourhoods import surface
 
 TURN = Rotation.from_euler("xyz", [0.4, -1.1, 2.0]).as_matrix()
@@ -45,3 +48,37 @@ def test_probes_on_the_surface_count() -> None:
     shares = occupied.shares(poses, plane[::7])
     assert shares[0] == shares[1] == 1
     assert shares[2] < 0.1  # a table that is full by chance
+
+
+def test_rough_poses_settle_on_the_surface() -> None:
+    target = thinned_surface(surface(20000), 0.05)
+    probes = surface(120, seed=1)
+    turns = Rotation.from_rotvec(np.random.default_rng(0).normal(size=(20, 3)) * 0.04).as_matrix()
+    rough = Poses(turns, np.ones(20), np.full((20, 3), 0.02))
+    lattice = SurfaceLattice.of(target.points, target.normals, 0.1)
+    settled = lattice.settled(rough, probes, steps=4, reach=0.12)
+    before, after = (np.linalg.norm(poses.apply(probes) - probes, axis=2).mean(axis=1) for poses in (rough, settled))
+    assert np.median(before) > 0.04
+    assert np.median(after) < 0.01
+    assert lattice.shares(settled, probes, 0.02).min() > 0.9
+
+
+def test_of_poses_that_are_the_same_the_first_is_kept() -> None:
+    poses = Poses(
+        np.eye(3)[None].repeat(4, axis=0), np.ones(4), np.array([[0, 0, 0], [0, 0, 0.1], [1, 0, 0], [1, 0, 0.0]])
+    )
+    assert distinct(poses, surface(10), 0.3, 9).tolist() == [0, 2]
+    assert distinct(poses, surface(10), 0.05, 2).tolist() == [0, 1]
+
+
+def test_the_best_of_many_poses_lie_on_the_target() -> None:
+    whole, again = surface(20000), surface(30000, seed=1)
+    half = again[again @ [0.6, 0.0, 0.8] > 0] @ TURN.T + SHIFT
+    target = thinned_surface(whole, 0.08)
+    source = thinned_surface(half, 0.08)
+    poses, _ = local_poses(*(local_harmonics(side, 0.5, keypoints=200) for side in (source, target)))
+    found, scores, origin = Ground.of(target.points, target.normals, target.spacing).best(poses, half[:250], most=5)
+    error = np.linalg.norm(found.apply(half)[0] - (half - SHIFT) @ TURN, axis=1)
+    assert error.mean() < 0.03
+    assert len(scores) == len(origin) == len(found) <= 5
+    assert (np.diff(scores) <= 0).all()
