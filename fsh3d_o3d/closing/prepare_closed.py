@@ -82,7 +82,7 @@ class Closing:
     hidden: float
     """Share of the original's area that lies out of reach from outside: behind walls whose openings, if any, are
     narrower than some two cells, or closed by repair. An outer surface has none of it."""
-    resolution: int | None
+    cells_per_side: int | None
     """Cells along the longest side of the bounding box; None where nothing was carved."""
     kind: GeometryKind = "legacy"
     """Which Open3D objects it becomes unless told otherwise: those it came from."""
@@ -92,7 +92,7 @@ class Closing:
         return open3d_mesh(self.mesh, chosen_kind(kind, self.kind))
 
 
-def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> Closing:
+def prepare_closed(mesh: Any, *, cells_per_side: int = 64, repair: bool = True) -> Closing:
     """Return a closed genus-0 surface for a mesh, changing as little as possible.
 
     What is closed, manifold, of one component and genus 0 once equal vertices are merged is returned so. What is nearly
@@ -104,8 +104,8 @@ def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> C
 
     Args:
         mesh: Triangle mesh, as ``from_any`` takes it.
-        resolution: Cells along the longest side of the bounding box where the mesh is carved, 8 … 1024. What is thinner
-            than a cell keeps its place but not its thickness; gaps narrower than a cell may close.
+        cells_per_side: Cells along the longest side of the bounding box where the mesh is carved, 8 … 1024. What is
+            thinner than a cell keeps its place but not its thickness; gaps narrower than a cell may close.
         repair: Whether to try a repair before carving.
 
     Raises:
@@ -115,13 +115,13 @@ def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> C
 
     Example:
         >>> knot = fsh.read_geometry("samples/trefoil_knot.ply")  # closed, but of genus 1
-        >>> closing = fsh.prepare_closed(knot, resolution=16)
+        >>> closing = fsh.prepare_closed(knot, cells_per_side=16)
         >>> closing.method
         'carved'
         >>> fsh.ConformalShape.from_geometry(closing.to_triangle_mesh(), bandwidth=8).to_triangle_mesh(1000)
         TriangleMesh with 1002 points and 2000 triangles.
     """
-    cells = check.integer(resolution, "resolution", minimum=8, maximum=1024)
+    cells = check.integer(cells_per_side, "cells_per_side", minimum=8, maximum=1024)
     given, kind = geometry_arrays(mesh)
     if isinstance(given, PointArrays):
         raise TypeError("a closed surface needs a mesh, got a point cloud; reconstruct a surface from it first")
@@ -163,7 +163,7 @@ def prepare_closed(mesh: Any, *, resolution: int = 64, repair: bool = True) -> C
         hausdorff=float(there.max()) / unit.diagonal,
         hausdorff_back=float(back.max()) / unit.diagonal,
         hidden=1 - len(reached) / len(there),
-        resolution=cells if method == "carved" else None,
+        cells_per_side=cells if method == "carved" else None,
         kind=kind,
     )
 

@@ -122,7 +122,7 @@ def _energies(geometry: Any, given: CPSHDOption | None) -> Float64Array:
     if isinstance(arrays, PointArrays):
         raise TypeError("the descriptor over a conformal map needs a triangle mesh, got a point cloud")
     if option.repair is not None:
-        arrays = prepare_closed(arrays, resolution=option.repair).mesh
+        arrays = prepare_closed(arrays, cells_per_side=option.repair).mesh
     mapped = conformal_map(arrays, option.map)
     positions = _in_principal_axes(mapped.mesh)
     transform = _transform(option)

@@ -57,7 +57,7 @@ class Joined:
 
     def describe(self, geometry: MeshArrays | PointArrays) -> np.ndarray:
         """Return the descriptors in a row."""
-        surface = prepare_closed(geometry, resolution=self.cells).mesh
+        surface = prepare_closed(geometry, cells_per_side=self.cells).mesh
         return np.concatenate([part.describe(surface) for part in self.parts])
 
     def distances(self, queries: np.ndarray, others: np.ndarray, *, progress: bool = False) -> np.ndarray:

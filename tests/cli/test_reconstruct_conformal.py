@@ -115,7 +115,7 @@ def test_what_cannot_be_mapped_is_named(tmp_path, capsys, mesh, problem):
 
 @pytest.mark.parametrize(("mesh", "way"), [(TORUS, "carved"), (CLIPPED, "repaired")], ids=["carved", "repaired"])
 def test_repair_helps_and_says_what_changed(tmp_path, capsys, monkeypatch, mesh, way):
-    coarse = functools.partial(prepare_closed, resolution=16)  # for speed
+    coarse = functools.partial(prepare_closed, cells_per_side=16)  # for speed
     monkeypatch.setattr("fsh3d_o3d.cli.methods.prepare_closed", coarse)
     source, target = tmp_path / "in.ply", tmp_path / "out.ply"
     write_geometry(source, mesh)

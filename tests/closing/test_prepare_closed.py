@@ -54,7 +54,7 @@ def test_what_is_closed_comes_back_as_it_is():
     mesh = shapes.bumpy()
     closing = prepare_closed(mesh)
     assert closing.mesh is mesh
-    assert (closing.method, closing.problems, closing.changed, closing.resolution) == ("as given", (), (), None)
+    assert (closing.method, closing.problems, closing.changed, closing.cells_per_side) == ("as given", (), (), None)
     assert (closing.rms, closing.rms_outer, closing.rms_back, closing.hausdorff, closing.hausdorff_back) == (0,) * 5
 
 
@@ -97,7 +97,7 @@ def test_holes_are_closed_and_debris_left_out():
 def test_large_openings_belong_to_the_shape():
     ball = shapes.sphere(24)
     half = shapes.without(ball, ball.vertices[ball.triangles].mean(axis=1)[:, 2] > 0)
-    closing = prepare_closed(half, resolution=32)
+    closing = prepare_closed(half, cells_per_side=32)
     require_closed(closing)
     assert closing.method == "carved"
     # A bowl, not half a ball: π r² of a lid is missing.
@@ -121,9 +121,9 @@ def test_large_openings_belong_to_the_shape():
     ids=["torus", "frame", "moebius", "klein", "waves", "square", "two balls", "crossing", "needles", "wire"],
 )
 def test_everything_else_is_carved(mesh, problem, lost):
-    closing = prepare_closed(mesh, resolution=32)
+    closing = prepare_closed(mesh, cells_per_side=32)
     require_closed(closing)
-    assert (closing.method, closing.resolution) == ("carved", 32)
+    assert (closing.method, closing.cells_per_side) == ("carved", 32)
     assert any(text.startswith(problem) for text in closing.problems)
     assert closing.rms < lost
     assert closing.hausdorff < 0.2
@@ -143,7 +143,7 @@ def test_a_handle_becomes_a_membrane():
 
 def test_parts_are_joined_by_threads():
     balls = [shapes.sphere(12, center=(x, 0, 0)) for x in (0.0, 3.0, 6.0)]
-    closing = prepare_closed(shapes.joined(*balls), resolution=48)
+    closing = prepare_closed(shapes.joined(*balls), cells_per_side=48)
     require_closed(closing)
     assert "joined 3 parts by threads" in closing.changed
     assert measure_mesh(closing.mesh).volume == pytest.approx(3 * measure_mesh(balls[0]).volume, rel=0.02)
@@ -151,7 +151,7 @@ def test_parts_are_joined_by_threads():
 
 def test_what_is_inside_does_not_show():
     ball = shapes.sphere()
-    closing = prepare_closed(shapes.joined(ball, shapes.sphere(radius=0.5)), resolution=32)
+    closing = prepare_closed(shapes.joined(ball, shapes.sphere(radius=0.5)), cells_per_side=32)
     require_closed(closing)
     assert measure_mesh(closing.mesh).volume == pytest.approx(measure_mesh(ball).volume, rel=0.01)
     assert closing.hausdorff_back < 0.01
@@ -172,11 +172,11 @@ def test_a_soup_of_a_solid_is_solid(rng):
     assert measures.volume == pytest.approx(measure_mesh(ball).volume, rel=0.05)  # dents of the cracks
 
 
-@pytest.mark.parametrize("resolution", [16, 32, 64])
-def test_the_error_falls_with_the_cells(resolution):
+@pytest.mark.parametrize("cells", [16, 32, 64])
+def test_the_error_falls_with_the_cells(cells):
     torus = shapes.torus(n=160, m=96)
-    closing = prepare_closed(torus, resolution=resolution)
-    cell = 5 / resolution / torus.diagonal
+    closing = prepare_closed(torus, cells_per_side=cells)
+    cell = 5 / cells / torus.diagonal
     # Curvature across a cell, and the rim of the membrane: less than a tenth of a cell.
     assert closing.rms < 0.1 * cell
     assert closing.hausdorff < 1.5 * cell
@@ -195,14 +195,14 @@ def test_the_errors_are_those_of_surface_error():
 def test_units_and_origin_do_not_matter(scale, offset):
     torus = shapes.torus()
     moved = shapes.moved(torus, scale=scale, offset=(offset, -offset, offset))
-    closing, plain = prepare_closed(moved, resolution=32), prepare_closed(torus, resolution=32)
+    closing, plain = prepare_closed(moved, cells_per_side=32), prepare_closed(torus, cells_per_side=32)
     require_closed(closing)
     assert closing.rms == pytest.approx(plain.rms, rel=0.1)
     assert len(closing.mesh.triangles) == pytest.approx(len(plain.mesh.triangles), rel=0.02)
 
 
 def test_the_same_mesh_gives_the_same_bytes():
-    first, second = (prepare_closed(shapes.mobius(), resolution=24).mesh for _ in range(2))
+    first, second = (prepare_closed(shapes.mobius(), cells_per_side=24).mesh for _ in range(2))
     assert first.vertices.tobytes() == second.vertices.tobytes()
     assert first.triangles.tobytes() == second.triangles.tobytes()
 
@@ -211,7 +211,7 @@ def test_repair_may_be_left_out():
     ball = shapes.sphere(24)
     removed = np.zeros(len(ball.triangles), dtype=bool)
     removed[3] = True
-    closing = prepare_closed(shapes.without(ball, removed), repair=False, resolution=32)
+    closing = prepare_closed(shapes.without(ball, removed), repair=False, cells_per_side=32)
     require_closed(closing)
     assert closing.method == "carved"
     assert measure_mesh(closing.mesh).volume == pytest.approx(measure_mesh(ball).volume, rel=0.02)
@@ -225,11 +225,11 @@ def test_what_cannot_be_closed_is_an_error():
         prepare_closed(MeshArrays(line.vertices, np.array([[0, 1, 1]])))
     with pytest.raises(TypeError, match="needs a mesh"):
         prepare_closed(PointArrays(line.vertices))
-    with pytest.raises(ValueError, match="resolution must be"):
-        prepare_closed(shapes.torus(), resolution=4)
+    with pytest.raises(ValueError, match="cells_per_side must be"):
+        prepare_closed(shapes.torus(), cells_per_side=4)
 
 
 def test_too_large_a_grid_is_refused(monkeypatch):
     monkeypatch.setattr(_validation, "_available_memory", lambda: 2.0**30)
     with pytest.raises(MemoryEstimateError, match="carving a grid of"):
-        prepare_closed(shapes.torus(), resolution=512)
+        prepare_closed(shapes.torus(), cells_per_side=512)
