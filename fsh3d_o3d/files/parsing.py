@@ -51,6 +51,7 @@ _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("TIFF", re.compile(rb"II[*+]\0|MM\0[*+]")),
     ("NRRD", re.compile(rb"NRRD000")),
     ("NPY", re.compile(rb"\x93NUMPY")),
+    ("VTK", re.compile(rb"# vtk DataFile")),
     ("ZIP", re.compile(rb"PK\x03\x04")),
     ("GZIP", re.compile(rb"\x1f\x8b")),
     ("HTML", re.compile(rb"\s*<(!doctype html|html)", re.IGNORECASE)),
@@ -68,7 +69,15 @@ _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("JSON", re.compile(rb'\s*(\{\s*["}]|\[\s*[\[{"\d-])')),
     ("OBJ", re.compile(rb"(?s:.){0,3000}?(^|[\r\n])(v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]|mtllib )")),
 )
-_WRITTEN_AS = {"GLTF": "JSON", "3MF": "ZIP", "LAZ": "LAS", "TIF": "TIFF", "NHDR": "NRRD", "NPZ": "ZIP"}
+_WRITTEN_AS = {
+    "GLTF": "JSON",
+    "3MF": "ZIP",
+    "NPZ": "ZIP",
+    "LAZ": "LAS",
+    "TIF": "TIFF",
+    "NHDR": "NRRD",
+    **dict.fromkeys(("VTP", "VTU", "DAE", "X3D"), "XML"),
+}
 """Formats whose files are of another, more general one as well."""
 
 

@@ -16,6 +16,7 @@ from fsh3d_o3d.files.serialise import (
 )
 from fsh3d_o3d.files.serialise_3mf import threemf_bytes
 from fsh3d_o3d.files.serialise_las import las_bytes, laz_bytes
+from fsh3d_o3d.files.serialise_vtp import vtp_bytes
 
 MESH_WRITERS: dict[str, Callable[[Content], bytes]] = {
     ".ply": ply_bytes,
@@ -24,6 +25,7 @@ MESH_WRITERS: dict[str, Callable[[Content], bytes]] = {
     ".stl": stl_bytes,
     ".glb": glb_bytes,
     ".3mf": threemf_bytes,
+    ".vtp": vtp_bytes,
 }
 """Extension and function for meshes."""
 
@@ -33,5 +35,6 @@ CLOUD_WRITERS: dict[str, Callable[[Content], bytes]] = {
     ".pcd": pcd_bytes,
     ".las": las_bytes,
     ".laz": laz_bytes,
+    ".vtp": vtp_bytes,
 }
 """Extension and function for point clouds."""

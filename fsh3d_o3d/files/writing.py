@@ -23,11 +23,11 @@ WRITABLE_CLOUD_FORMATS: tuple[str, ...] = tuple(CLOUD_WRITERS)
 def write_geometry(path: str | os.PathLike[str], geometry: Any) -> None:
     """Write a mesh or a point cloud; the extension names the format.
 
-    Meshes: ``.ply .obj .off .3mf`` (float64), ``.stl .glb`` (float32). Points: ``.ply .xyz`` (float64), ``.pcd``
-    (float32), ``.las .laz`` (steps of a billionth of the cloud's extent). Vertex normals and colours are kept where the
-    format has a place for them (``.stl .3mf`` have none, ``.xyz`` none for colours, ``.las .laz`` none for normals);
-    texture coordinates and materials are not written. The file appears under its name only when it is complete; on any
-    error what was there before stays.
+    Meshes: ``.ply .obj .off .3mf .vtp`` (float64), ``.stl .glb`` (float32). Points: ``.ply .xyz .vtp`` (float64),
+    ``.pcd`` (float32), ``.las .laz`` (steps of a billionth of the cloud's extent). Vertex normals and colours are kept
+    where the format has a place for them (``.stl .3mf`` have none, ``.xyz`` none for colours, ``.las .laz`` none for
+    normals); texture coordinates and materials are not written. The file appears under its name only when it is
+    complete; on any error what was there before stays.
 
     Args:
         path: The file.

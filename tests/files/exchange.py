@@ -6,6 +6,7 @@ import base64
 import io
 import struct
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,12 +15,14 @@ import pytest
 
 from fsh3d_o3d.files.serialise import Content
 from fsh3d_o3d.files.serialise_las import las_bytes
-from tests.files.mutations import COLORS, TRIANGLES, VERTICES
+from fsh3d_o3d.files.serialise_vtp import vtp_bytes
+from tests.files.mutations import COLORS, NORMALS, TRIANGLES, VERTICES
 from tests.files.volumes import labels, nifti, nrrd
 
 with pytest.MonkeyPatch.context() as _patch:
     _patch.syspath_prepend(str(Path(__file__).parents[2] / "samples"))
     from _cad_writers import iges_bytes, step_bytes
+    from _scene_writers import dae_bytes, threemf_bytes, x3d_bytes
     from _survey_writers import Scan, e57_bytes
 
 CLOUD = Content(VERTICES, None, None, COLORS / 255)
@@ -64,6 +67,12 @@ def exchange_files() -> dict[str, Exchange]:
         Exchange("plain.igs", iges_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-6, "cascadio", tail=8),
         Exchange("plain.iges", iges_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-6, "cascadio", tail=8),
         *_volumes(),
+        Exchange("component.3mf", threemf_bytes(VERTICES, TRIANGLES)),
+        Exchange("plain.dae", dae_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-12, tail=1),
+        Exchange("plain.x3d", x3d_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-12, tail=1),
+        Exchange("plain.vtk", vtk_text(), tail=1),
+        Exchange("plain.vtp", vtp_bytes(Content(VERTICES, TRIANGLES, NORMALS, COLORS / 255)), tail=11),
+        Exchange("plain.vtu", vtu(), tail=1),
         Exchange("scan.e57", e57_bytes([Scan("scan", VERTICES, colors=COLORS / 255)]), "cloud"),
         Exchange("plain.las", las_bytes(CLOUD), "cloud", 1e-8),
         Exchange("packed.laz", LAZ, "cloud", 1e-8, "lazrs"),
@@ -119,6 +128,44 @@ def _placed_3mf() -> bytes:
     column = " ".join(f"{value!r}" for value in TURNED.T.ravel().tolist())
     outer = f'<object id="5"><components><component objectid="4" transform="{column} 1 0 0"/></components></object>'
     return pack_3mf(model_3mf(text + outer, '<item objectid="5" transform="1 0 0 0 1 0 0 0 1 0 2 3"/>'))
+
+
+def vtk_text(more: str = "") -> bytes:
+    """Legacy VTK as text."""
+    return (
+        "# vtk DataFile Version 3.0\noctahedron\nASCII\nDATASET POLYDATA\nPOINTS 6 double\n"
+        + rows("%r %r %r\n", VERTICES)
+        + "POLYGONS 8 32\n"
+        + rows("3 %d %d %d\n", TRIANGLES)
+        + more
+    ).encode()
+
+
+def packed(values: np.ndarray) -> str:
+    """Values as VTK packs them: in blocks of 64 bytes by zlib, in base64, with their lengths in front."""
+    data = values.tobytes()
+    blocks = [zlib.compress(data[at : at + 64]) for at in range(0, len(data), 64)]
+    head = struct.pack(f"<{3 + len(blocks)}I", len(blocks), 64, len(data) % 64, *map(len, blocks))
+    return (base64.b64encode(head) + base64.b64encode(b"".join(blocks))).decode()
+
+
+def vtu(points: np.ndarray = VERTICES, cells: np.ndarray = TRIANGLES, kind: int = 5, more: str = "") -> bytes:
+    """An unstructured grid of cells of one kind."""
+    arrays = {
+        "connectivity": ("Int64", cells.astype("<i8")),
+        "offsets": ("Int64", np.arange(1, len(cells) + 1, dtype="<i8") * cells.shape[1]),
+        "types": ("UInt8", np.full(len(cells), kind, dtype="u1")),
+    }
+    lists = "".join(
+        f'<DataArray type="{name}" Name="{key}" format="binary">{packed(values)}</DataArray>\n'
+        for key, (name, values) in arrays.items()
+    )
+    return (
+        '<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian" compressor="vtkZLibDataCompressor">'
+        f'<UnstructuredGrid><Piece NumberOfPoints="{len(points)}" NumberOfCells="{len(cells)}">\n{more}'
+        f'<Points><DataArray type="Float64" NumberOfComponents="3" format="binary">{packed(points)}</DataArray>'
+        f"</Points><Cells>{lists}</Cells></Piece></UnstructuredGrid></VTKFile>\n"
+    ).encode()
 
 
 def _volumes() -> list[Exchange]:

@@ -19,8 +19,13 @@ from fsh3d_o3d.files.writing import WRITABLE_CLOUD_FORMATS, WRITABLE_MESH_FORMAT
 from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
 from tests.files import mutations
 
-EXACT_MESH = (".ply", ".obj", ".off", ".3mf")
-NOT_OF_OPEN3D = (".3mf", ".las", ".laz")  # what its readers do not know; others look at these in test_exchange.py
+EXACT_MESH = (".ply", ".obj", ".off", ".3mf", ".vtp")
+NOT_OF_OPEN3D = (
+    ".3mf",
+    ".vtp",
+    ".las",
+    ".laz",
+)  # what its readers do not know; others look at these in test_exchange.py
 MESH = MeshArrays(mutations.VERTICES * np.pi, mutations.TRIANGLES)
 CLOUD = PointArrays(mutations.VERTICES * np.pi, mutations.NORMALS, mutations.COLORS / 255)
 

@@ -10,6 +10,7 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.files.formats.assembly import Assembly
 from fsh3d_o3d.files.formats.encoding import plain_text
+from fsh3d_o3d.files.formats.scene_transforms import IDENTITY, composed
 from fsh3d_o3d.files.formats.source import Source, counted
 from fsh3d_o3d.files.formats.text import indices, numbers
 from fsh3d_o3d.files.formats.xml_numbers import cut_lists, element_numbers
@@ -22,7 +23,6 @@ _MODEL = "/3dmodel"  # how the type of the relation ends that leads to the model
 _UNDERSTOOD = ("/core/", "/production/", "/material/", "/slice/", "/trianglesets/")
 _DEEPEST = 64  # components one in another, a choice: assemblies have some five
 _MOST_PLACED = 65_536  # meshes, a choice: components that hold each other twice would double without end
-_IDENTITY = np.eye(3, 4)
 
 _Key = tuple[str, str]
 
@@ -62,7 +62,7 @@ def parse_3mf(source: Source) -> MeshArrays | PointArrays:
             continue
         if len(stack) > _MOST_PLACED:
             raise GeometryReadError(f"it places more than {_MOST_PLACED} meshes")
-        stack += [(inner, _composed(place, local), depth + 1) for inner, local in found.components[::-1]]
+        stack += [(inner, composed(place, local), depth + 1) for inner, local in found.components[::-1]]
     if supports:
         source.note(f"{counted(supports, 'support')} of the print left out")
     return assembly.result()
@@ -147,7 +147,7 @@ class _Package:
     def _reference(self, element: XmlElement, file: str) -> tuple[_Key, Float64Array]:
         path = element.attributes.get("path", "").lstrip("/") or file
         text = element.attributes.get("transform")
-        place = _IDENTITY if text is None else _transform(text)
+        place = IDENTITY if text is None else _transform(text)
         return (path, element.attributes.get("objectid", "")), place
 
 
@@ -165,9 +165,3 @@ def _transform(text: str) -> Float64Array:
     if len(values) != 12 or not np.isfinite(values).all():
         raise GeometryReadError(f"damaged: a transform has {len(values)} numbers instead of 12 finite ones")
     return np.ascontiguousarray(values.reshape(4, 3).T)
-
-
-def _composed(outer: Float64Array, inner: Float64Array) -> Float64Array:
-    result = outer[:, :3] @ inner
-    result[:, 3] += outer[:, 3]
-    return result
