@@ -9,9 +9,11 @@ from fsh3d_o3d._version import __version__
 from fsh3d_o3d.closing import Closing, prepare_closed
 from fsh3d_o3d.descriptors import (
     CPSHDOption,
+    LocalSHDOption,
     ShapeSignature,
     SHDOption,
     compute_cpshd_feature,
+    compute_local_shd_feature,
     compute_shd_feature,
     compute_signature,
     descriptor_distances,
@@ -177,9 +179,11 @@ __all__ = [
     "load_shape",
     # descriptors
     "CPSHDOption",
+    "LocalSHDOption",
     "SHDOption",
     "ShapeSignature",
     "compute_cpshd_feature",
+    "compute_local_shd_feature",
     "compute_shd_feature",
     "compute_signature",
     "descriptor_distances",

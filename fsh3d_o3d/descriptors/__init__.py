@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from fsh3d_o3d.descriptors.key_points import LocalHarmonics, local_harmonics, typical_size
 from fsh3d_o3d.descriptors.library import CPSHDDescriptor, SHDDescriptor, on_equiangular_grid
-from fsh3d_o3d.descriptors.local_shd import LocalHarmonics, local_harmonics
+from fsh3d_o3d.descriptors.local_shd import LocalSHDOption, compute_local_shd_feature
 from fsh3d_o3d.descriptors.shd import (
     CPSHDOption,
     ShapeSignature,
@@ -21,10 +22,12 @@ __all__ = [
     "CPSHDDescriptor",
     "CPSHDOption",
     "LocalHarmonics",
+    "LocalSHDOption",
     "SHDDescriptor",
     "SHDOption",
     "ShapeSignature",
     "signature_distances",
+    "compute_local_shd_feature",
     "compute_shd_feature",
     "compute_signature",
     "descriptor_distances",
@@ -33,4 +36,5 @@ __all__ = [
     "mixed_distances",
     "on_equiangular_grid",
     "shd_descriptor",
+    "typical_size",
 ]

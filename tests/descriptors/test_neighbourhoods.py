@@ -13,6 +13,7 @@ from fsh3d_o3d.descriptors.neighbourhoods import neighbourhoods
 DEGREE, ORDER = fsh.degrees_and_orders(5)
 MIRRORED = DEGREE * DEGREE + DEGREE - ORDER  # the coefficient of order −m
 TURN = Rotation.from_euler("xyz", [0.4, -1.1, 2.0]).as_matrix()
+SHIFT = np.array([3.0, -1.0, 2.0])
 
 
 def surface(count: int, seed: int = 0) -> np.ndarray:

@@ -12,10 +12,7 @@ from fsh3d_o3d.registration.lattice import SurfaceLattice, distinct
 from fsh3d_o3d.registration.local_poses import local_poses
 from fsh3d_o3d.registration.occupancy import Occupancy
 from fsh3d_o3d.registration.settling import Ground
-from tests.descriptors.test_neighbourhoods import surface
-
-TURN = Rotation.from_euler("xyz", [0.4, -1.1, 2.0]).as_matrix()
-SHIFT = np.array([3.0, -1.0, 2.0])
+from tests.descriptors.test_neighbourhoods import SHIFT, TURN, surface
 
 
 def test_the_same_point_in_another_pose_gives_the_pose() -> None:
