@@ -48,6 +48,7 @@ from .transfer import values_near as values_near
 from .transfer import with_point_values as with_point_values
 from .transfer import with_values as with_values
 from .transfer import with_values_of as with_values_of
+from .triangles import corner_shares as corner_shares
 from .triangles import degenerate as degenerate
 from .triangles import even_places as even_places
 from .triangles import longest_edges as longest_edges

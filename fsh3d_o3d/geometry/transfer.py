@@ -11,7 +11,7 @@ from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
 from fsh3d_o3d.geometry.measures import weld_map
 from fsh3d_o3d.geometry.nearest_point import nearest_points
 from fsh3d_o3d.geometry.rays import UnitCube, UnitScene
-from fsh3d_o3d.geometry.triangles import point_triangle_offsets
+from fsh3d_o3d.geometry.triangles import corner_shares, point_triangle_offsets
 
 COLORS = "colors"
 """The name of the values that are drawn, (…, 3) in [0, 1]."""
@@ -96,16 +96,4 @@ def _located(scene: UnitScene, points: Float64Array) -> tuple[IntArray, Float64A
     """Return the closest triangle (n,) of each point and the shares (n, 3) of its corners in the closest point."""
     triangle = scene.closest(points)
     corners = scene.corners[triangle]
-    foot = points + point_triangle_offsets(points, corners)
-    a, b, c = (corners[:, k] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    shares = np.stack([_signed(normal, b, c, foot), _signed(normal, c, a, foot), _signed(normal, a, b, foot)], axis=1)
-    shares = np.maximum(shares, 0)
-    total = shares.sum(axis=1, keepdims=True)
-    # A triangle without area: the corner next to the point.
-    nearest = np.linalg.norm(corners - foot[:, None], axis=2).argmin(axis=1)
-    return triangle, np.where(total > 0, shares / np.where(total > 0, total, 1.0), np.eye(3)[nearest])
-
-
-def _signed(normal: Float64Array, start: Float64Array, end: Float64Array, point: Float64Array) -> Float64Array:
-    return np.asarray(np.einsum("nk,nk->n", np.cross(end - start, point - start), normal))
+    return triangle, corner_shares(points + point_triangle_offsets(points, corners), corners)

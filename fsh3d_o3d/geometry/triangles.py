@@ -94,6 +94,20 @@ def point_triangle_offsets(points: Float64Array, corners: Float64Array) -> Float
     return np.where(above[:, None], height[:, None] * normal, best)
 
 
+def corner_shares(points: Float64Array, corners: Float64Array) -> Float64Array:
+    """Return the shares (n, 3) of the corners in points (n, 3) on triangles (n, 3, 3): not negative, of sum 1.
+
+    Outside of a triangle, by rounding, none is below 0. A triangle without area gives all to the corner next to it.
+    """
+    seen = corners - points[:, None]
+    normal = triangle_normals(corners)
+    shares = np.stack([_dot(np.cross(seen[:, k - 2], seen[:, k - 1]), normal) for k in range(3)], axis=1)
+    shares = np.maximum(shares, 0)
+    total = shares.sum(axis=1, keepdims=True)
+    nearest = np.linalg.norm(seen, axis=2).argmin(axis=1)
+    return np.where(total > 0, shares / np.where(total > 0, total, 1.0), np.eye(3)[nearest])
+
+
 def point_triangle_distance(points: Float64Array, corners: Float64Array) -> Float64Array:
     """Return the distance (n,) from each point (n, 3) to its triangle (n, 3, 3), flat triangles included."""
     return np.asarray(np.linalg.norm(point_triangle_offsets(points, corners), axis=1))

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.geometry import MeshArrays, fibonacci_triangulation, sphere_mesh, triangle_normals
+from fsh3d_o3d.geometry import MeshArrays, corner_shares, fibonacci_triangulation, sphere_mesh
 from fsh3d_o3d.sphere import SphericalGrid, SphericalHarmonicTransform, evaluate, evaluate_gradient, fibonacci_grid
 
 Triangulation = Literal["icosphere", "fibonacci"]
@@ -89,11 +89,7 @@ def unit_normals(coefficients: Float64Array, grid: SphericalGrid) -> Float64Arra
 def interpolation(mesh: MeshArrays, points: Float64Array, triangle: IntArray) -> csr_array:
     """Return the matrix (m, v) that interpolates vertex values linearly at points (m, 3) on their triangles (m,)."""
     corners = mesh.triangles[triangle]
-    a, b, c = (mesh.vertices[corners[:, k]] - points for k in range(3))
-    normal = triangle_normals(mesh.vertices[corners])
-    weights = np.stack([np.einsum("ij,ij->i", np.cross(u, v), normal) for u, v in ((b, c), (c, a), (a, b))], axis=1)
-    weights = np.maximum(weights / np.einsum("ij,ij->i", normal, normal)[:, None], 0)
-    weights /= weights.sum(axis=1, keepdims=True)
+    weights = corner_shares(points, mesh.vertices[corners])
     start = np.arange(0, corners.size + 1, 3)
     return csr_array((weights.ravel(), corners.ravel(), start), shape=(len(points), len(mesh.vertices)))
 

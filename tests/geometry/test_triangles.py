@@ -7,6 +7,7 @@ from fsh3d_o3d.geometry.arrays import MeshArrays
 from fsh3d_o3d.geometry.measures import weld, weld_map
 from fsh3d_o3d.geometry.rays import UnitScene
 from fsh3d_o3d.geometry.triangles import (
+    corner_shares,
     even_places,
     longest_edges,
     point_triangle_distance,
@@ -50,6 +51,15 @@ def test_offsets_lead_to_the_closest_point(rng):
     # Of a convex set the closest point is the one whose offset makes no acute angle with the way on to any corner.
     onwards = corners - (points + offsets)[:, None]
     assert np.einsum("nkx,nx->nk", onwards, offsets).min() > -1e-13
+
+
+def test_shares_of_the_corners():
+    points = np.array([[0.0, 0, 0], [0.75, 1, 0], [3.0, -1e-17, 0]])  # a corner, within, outside by rounding
+    shares = corner_shares(points, np.repeat(RIGHT, 3, axis=0))
+    np.testing.assert_allclose(shares, [[1, 0, 0], [0.5, 0.25, 0.25], [0, 1, 0]], rtol=0, atol=1e-16)
+    assert shares.min() == 0
+    needle = np.array([[[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]])
+    np.testing.assert_array_equal(corner_shares(np.array([[1.9, 0, 0]]), needle), [[0, 0, 1]])
 
 
 def test_welding_tells_which_vertex_each_one_was():
