@@ -7,13 +7,19 @@ their own beside the target. Here text has the digits that float64 needs and the
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array, IntArray
+
+_PLY_NAMES = frozenset(
+    ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha", "s", "t", "u", "v", "texture_u", "texture_v")
+)
+"""Properties of vertices that mean something of their own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +34,14 @@ class Content:
     """(n, 3) normals, or None."""
     colors: Float64Array | None
     """(n, 3) colours in [0, 1], or None."""
+    uvs: Float64Array | None = None
+    """(t, 3, 2) texture coordinates of the corners of triangles, or None."""
+    attributes: Mapping[str, Float64Array] = field(default_factory=dict)
+    """(n,) or (n, k) by name."""
 
 
 def ply_bytes(surface: Content) -> bytes:
-    """Binary PLY: float64 positions and normals, colours in eight bits."""
+    """Binary PLY: float64 positions, normals and attributes, colours in eight bits, texture coordinates of corners."""
     columns: list[tuple[str, str, NDArray[Any]]] = []
     for names, values in (("x y z", surface.points), ("nx ny nz", surface.normals)):
         if values is not None:
@@ -39,6 +49,7 @@ def ply_bytes(surface: Content) -> bytes:
     if surface.colors is not None:
         octets = color_bytes(surface.colors)
         columns += [(name, "uchar", octets[:, axis]) for axis, name in enumerate(("red", "green", "blue"))]
+    columns += [(name, "double", values) for name, values in _attribute_columns(surface)]
     table = np.empty(len(surface.points), dtype=[(name, column.dtype.newbyteorder("<")) for name, _, column in columns])
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}"]
     for name, kind, column in columns:
@@ -46,23 +57,36 @@ def ply_bytes(surface: Content) -> bytes:
         header.append(f"property {kind} {name}")
     body = table.tobytes()
     if surface.triangles is not None:
-        faces = np.empty(len(surface.triangles), dtype=[("n", "u1"), ("corners", "<i4", 3)])
+        layout: list[Any] = [("n", "u1"), ("corners", "<i4", 3)]
+        header += [f"element face {len(surface.triangles)}", "property list uchar int vertex_indices"]
+        if surface.uvs is not None:
+            layout += [("numbers", "u1"), ("uvs", "<f8", 6)]
+            header.append("property list uchar double texcoord")
+        faces = np.empty(len(surface.triangles), dtype=layout)
         faces["n"], faces["corners"] = 3, surface.triangles
-        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        if surface.uvs is not None:
+            faces["numbers"], faces["uvs"] = 6, surface.uvs.reshape(-1, 6)
         body += faces.tobytes()
     return "\n".join([*header, "end_header", ""]).encode("ascii") + body
 
 
 def obj_bytes(surface: Content) -> bytes:
-    """Wavefront OBJ, with normals, and with colours behind the coordinates as many programs read them."""
+    """Wavefront OBJ, with texture coordinates and normals, and colours behind the coordinates as many programs do."""
     vertices = surface.points if surface.colors is None else np.hstack([surface.points, surface.colors])
     text = _rows("v", vertices)
-    corner = "%d %d %d"
-    corners = _triangles(surface) + 1
+    corner = "%d"
+    columns = [_triangles(surface) + 1]
+    if surface.uvs is not None:
+        places, index = np.unique(surface.uvs.reshape(-1, 2), axis=0, return_inverse=True)
+        text += _rows("vt", places)
+        columns.append(index.reshape(-1, 3) + 1)
+        corner += "/%d"
     if surface.normals is not None:
         text += _rows("vn", surface.normals)
-        corner, corners = "%d//%d %d//%d %d//%d", np.repeat(corners, 2, axis=1)
-    return (text + format_rows(f"f {corner}\n", corners)).encode("ascii")
+        columns.append(columns[0])
+        corner += "/%d" if surface.uvs is not None else "//%d"
+    corners = np.stack(columns, axis=2).reshape(len(columns[0]), -1)
+    return (text + format_rows(f"f {corner} {corner} {corner}\n", corners)).encode("ascii")
 
 
 def off_bytes(surface: Content) -> bytes:
@@ -97,7 +121,11 @@ def stl_bytes(surface: Content) -> bytes:
 
 
 def glb_bytes(surface: Content) -> bytes:
-    """Binary glTF 2.0: one mesh; float32 positions, normals and colours."""
+    """Binary glTF 2.0: one mesh; float32 positions, normals, colours and texture coordinates.
+
+    A vertex has one place in the texture there: where corners have others, at seams, it is written once for each.
+    """
+    surface, uvs = _cut_at_seams(surface)
     points = _as_float32(surface.points, "glTF")
     blocks: list[tuple[str, NDArray[Any], str, int]] = [("POSITION", points, "VEC3", 34962)]
     if surface.normals is not None:
@@ -107,6 +135,8 @@ def glb_bytes(surface: Content) -> bytes:
         blocks.append(("NORMAL", unit.astype("<f4"), "VEC3", 34962))
     if surface.colors is not None:
         blocks.append(("COLOR_0", np.clip(surface.colors, 0, 1).astype("<f4"), "VEC3", 34962))
+    if uvs is not None:
+        blocks.append(("TEXCOORD_0", _as_float32(uvs, "glTF"), "VEC2", 34962))
     blocks.append(("indices", _triangles(surface).astype("<u4"), "SCALAR", 34963))
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
@@ -139,6 +169,33 @@ def glb_bytes(surface: Content) -> bytes:
     binary = b"".join(block.tobytes() for _, block, _, _ in blocks)  # four-byte items: aligned as the format asks
     chunks = _chunk(b"JSON", text) + _chunk(b"BIN\0", binary)
     return b"glTF" + (2).to_bytes(4, "little") + (12 + len(chunks)).to_bytes(4, "little") + chunks
+
+
+def _cut_at_seams(surface: Content) -> tuple[Content, Float64Array | None]:
+    """Return a surface whose vertices have one place in the texture each, and those places (n, 2)."""
+    if surface.uvs is None:
+        return surface, None
+    triangles = _triangles(surface)
+    rows = np.column_stack((triangles.ravel(), surface.uvs.reshape(-1, 2)))
+    found, index = np.unique(rows, axis=0, return_inverse=True)
+    vertex = found[:, 0].astype(np.int64)
+    if len(np.unique(vertex)) == len(vertex):  # nothing to cut: vertices stay where they are, unused ones too
+        uvs = np.zeros((len(surface.points), 2))
+        uvs[vertex] = found[:, 1:]
+        return surface, uvs
+    normals, colors = (None if array is None else array[vertex] for array in (surface.normals, surface.colors))
+    uvs = np.asarray(found[:, 1:], dtype=np.float64)
+    return Content(surface.points[vertex], index.reshape(-1, 3), normals, colors), uvs
+
+
+def _attribute_columns(surface: Content) -> list[tuple[str, Float64Array]]:
+    """Return a name that PLY allows, and is not of its own, and numbers (n,) for each column of the attributes."""
+    columns: dict[str, Float64Array] = {}
+    for name, values in surface.attributes.items():
+        plain = "_".join(name.encode("ascii", "replace").decode("ascii").split())
+        parts = [(plain, values)] if values.ndim == 1 else [(f"{plain}_{k}", one) for k, one in enumerate(values.T)]
+        columns |= {f"{part}_" if part in _PLY_NAMES else part: one for part, one in parts}
+    return list(columns.items())
 
 
 def xyz_bytes(surface: Content) -> bytes:

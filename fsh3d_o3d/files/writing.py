@@ -26,8 +26,9 @@ def write_geometry(path: str | os.PathLike[str], geometry: Any) -> None:
     Meshes: ``.ply .obj .off .3mf .vtp`` (float64), ``.stl .glb`` (float32). Points: ``.ply .xyz .vtp`` (float64),
     ``.pcd`` (float32), ``.las .laz`` (steps of a billionth of the cloud's extent). Vertex normals and colours are kept
     where the format has a place for them (``.stl .3mf`` have none, ``.xyz`` none for colours, ``.las .laz`` none for
-    normals); texture coordinates and materials are not written. The file appears under its name only when it is
-    complete; on any error what was there before stays.
+    normals), texture coordinates in ``.ply .obj .glb``, all other attributes in ``.ply``; materials and the pictures of
+    textures are not written. The file appears under its name only when it is complete; on any error what was there
+    before stays.
 
     Args:
         path: The file.
@@ -63,9 +64,11 @@ def write_geometry(path: str | os.PathLike[str], geometry: Any) -> None:
 def _surface(geometry: Any) -> Content:
     arrays = from_any(geometry)
     if isinstance(arrays, PointArrays):
-        surface = Content(arrays.points, None, arrays.normals, arrays.colors)
+        surface = Content(arrays.points, None, arrays.normals, arrays.colors, attributes=arrays.attributes)
     else:
-        surface = Content(arrays.vertices, arrays.triangles, arrays.normals, arrays.colors)
+        surface = Content(
+            arrays.vertices, arrays.triangles, arrays.normals, arrays.colors, arrays.texture_uvs, arrays.attributes
+        )
     for name in ("normals", "colors"):
         values = getattr(surface, name)
         if values is not None and (values.shape != surface.points.shape or not np.isfinite(values).all()):

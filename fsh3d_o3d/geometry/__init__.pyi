@@ -1,3 +1,4 @@
+from .arrays import RESERVED_NAMES as RESERVED_NAMES
 from .arrays import MeshArrays as MeshArrays
 from .arrays import PointArrays as PointArrays
 from .arrays import bare as bare

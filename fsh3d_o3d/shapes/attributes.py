@@ -73,15 +73,14 @@ def carried_values(geometry: MeshArrays | PointArrays, attributes: object, *, ca
     """Return a geometry with what a shape of it carries along, as its colours, texture coordinates and attributes.
 
     Args:
-        geometry: With what it has itself, which goes along where ``carry`` is True.
+        geometry: With what it has itself, which goes along where ``carry`` is True and it is finite everywhere.
         attributes: Further values (v,) or (v, k) by name, or None; they take the place of its own of the same name.
         carry: Whether its own go along.
     """
     if not isinstance(carry, bool):
         raise TypeError(f"carry must be True or False, got {carry!r}")
     given = checked_values(attributes, len(geometry.vertices if isinstance(geometry, MeshArrays) else geometry.points))
-    if not carry:
-        geometry = bare(geometry)
+    geometry = _without_gaps(geometry) if carry else bare(geometry)
     if not given:
         return geometry
     changes: dict[str, Any] = {}
@@ -90,6 +89,19 @@ def carried_values(geometry: MeshArrays | PointArrays, attributes: object, *, ca
     if TEXTURE_UVS in given and isinstance(geometry, MeshArrays):
         changes[TEXTURE_UVS] = given.pop(TEXTURE_UVS)[geometry.triangles]
     return replace(geometry, attributes={**geometry.attributes, **given}, **changes)
+
+
+def _without_gaps(geometry: MeshArrays | PointArrays) -> MeshArrays | PointArrays:
+    """A geometry without what has no value somewhere, as scanners and simulations mark with NaN."""
+
+    def known(array: Float64Array | None) -> Float64Array | None:
+        return array if array is not None and np.isfinite(array).all() else None
+
+    attributes = {name: array for name, array in geometry.attributes.items() if known(array) is not None}
+    changes: dict[str, Any] = {"colors": known(geometry.colors), "attributes": attributes}
+    if isinstance(geometry, MeshArrays):
+        changes["texture_uvs"] = known(geometry.texture_uvs)
+    return replace(geometry, **changes)
 
 
 def shown(name: str, values: Float64Array) -> Float64Array:

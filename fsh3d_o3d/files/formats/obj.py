@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.errors import GeometryReadError
 from fsh3d_o3d.files.formats.obj_keywords import known_keywords
-from fsh3d_o3d.files.formats.result import cloud_of, polygon_mesh_of
+from fsh3d_o3d.files.formats.result import VertexValues, cloud_of, polygon_mesh_of
 from fsh3d_o3d.files.formats.source import Source, counted
 from fsh3d_o3d.files.formats.text import NumberRows, TextLines, indices, without_comments
 from fsh3d_o3d.geometry import MeshArrays, PointArrays
@@ -24,10 +24,12 @@ def parse_obj(source: Source) -> MeshArrays | PointArrays:
     text = without_comments(source.data)
     if b"\\" in text:
         text = re.sub(rb"\\[ \t]*\r?\n", b" ", text)
+    width = 1
     if b"/" in text:
         if re.search(rb"(?m)^[ \t]*[fF]\b.*[ \t]/", text):
             raise GeometryReadError("a face corner begins with a slash: its vertex index is missing")
-        text = re.sub(rb"/[^\s]*", b"", text)  # 3/7/2: vertex, texture coordinate, normal
+        width = _numbers_of_a_corner(text)
+        text = text.replace(b"//", b"/0/").replace(b"/", b" ") if width > 1 else re.sub(rb"/[^\s]*", b"", text)
     lines = TextLines.of(text)
     if not len(lines):
         raise GeometryReadError("no vertices")
@@ -49,13 +51,65 @@ def parse_obj(source: Source) -> MeshArrays | PointArrays:
         return cloud_of(source, vertices, _normals(lines, keywords, len(vertices)), _colors(rows))
 
     faces = lines.select(is_face, skip=1)
-    corners = indices(faces.values, "vertex indices")
-    if (corners == 0).any():
+    named = indices(faces.values, "vertex indices").reshape(-1, width)
+    starts, counts = faces.starts // width, faces.counts // width
+    if (named[:, 0] == 0).any():
         raise GeometryReadError("a face names vertex 0, but OBJ counts from 1")
-    seen = np.repeat(np.cumsum(is_vertex)[is_face], faces.counts)
-    corners = np.where(corners > 0, corners - 1, seen + corners)
-    _check_sizes(source, text, faces.counts, last=bool(is_face[-1]))
-    return polygon_mesh_of(source, vertices, corners, faces.starts, faces.counts)
+
+    def counted_from_zero(column: int, keyword: bytes) -> IntArray:
+        seen = np.repeat(np.cumsum(keywords == keyword)[is_face], counts)
+        return np.where(named[:, column] > 0, named[:, column] - 1, seen + named[:, column])
+
+    corners = counted_from_zero(0, b"v")
+    _check_sizes(source, text, counts, last=bool(is_face[-1]))
+    uvs = normals = None
+    if width > 1 and (named[:, 1] != 0).all():
+        uvs = _at_corners(source, lines, keywords, b"vt", 2, counted_from_zero(1, b"vt"))
+    if width > 2:
+        at_corners = _at_corners(source, lines, keywords, b"vn", 3, counted_from_zero(2, b"vn"))
+        normals = None if at_corners is None else _at_vertices(at_corners, corners, len(vertices))
+    values = VertexValues(normals, _colors(rows))
+    return polygon_mesh_of(source, vertices, corners, starts, counts, values, uvs)
+
+
+def _numbers_of_a_corner(text: bytes) -> int:
+    """Return 3 where all corners are like 3/7/2 (vertex, texture coordinate, normal) or 3//2, 2 where like 3/7.
+
+    Otherwise 1: only their vertices are read.
+    """
+    for width, corner in ((3, rb"-?\d+/-?\d*/-?\d+"), (2, rb"-?\d+/-?\d+")):
+        others = rb"(?m)^[ \t]*[fF][oO]?(?=[ \t])(?!(?:[ \t]+" + corner + rb")+[ \t\r]*$)"
+        if re.search(others, text) is None:
+            return width
+    return 1
+
+
+def _at_corners(
+    source: Source, lines: TextLines, keywords: NDArray[np.bytes_], keyword: bytes, width: int, index: IntArray
+) -> Float64Array | None:
+    """Return what corners (m,) name of the statements ``vt`` or ``vn``, (m, width); None where some are not there."""
+    rows = lines.select(keywords == keyword, skip=1)
+    if not len(rows.counts):
+        return None
+    if rows.counts.min() < width or index.min() < 0 or index.max() >= len(rows.counts):
+        what = "texture coordinates" if keyword == b"vt" else "normals"
+        source.note(f"faces name {what} that the file does not have; all of them were left out")
+        return None
+    return np.asarray(rows.values[rows.starts[:, None] + np.arange(width)][index], dtype=np.float64)
+
+
+def _at_vertices(at_corners: Float64Array, corners: IntArray, count: int) -> Float64Array | None:
+    """Return normals (v, 3) from those of corners (m, 3): the mean where a vertex has several, at a crease."""
+    if corners.min() < 0 or corners.max() >= count:
+        return None  # an error further on
+    normals = np.zeros((count, 3))
+    normals[corners] = at_corners
+    if not (normals[corners] == at_corners).all():
+        sums = [np.bincount(corners, weights=at_corners[:, axis], minlength=count) for axis in range(3)]
+        normals = np.stack(sums, axis=1)
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    return normals
 
 
 def _check_sizes(source: Source, text: bytes, counts: IntArray, *, last: bool) -> None:

@@ -44,7 +44,7 @@ class _Faces:
 def parse_off(source: Source) -> MeshArrays | PointArrays:
     """Return an OFF file as a mesh, or as a point cloud where it announces no faces.
 
-    Colours of faces, and of a mesh's vertices, its normals and texture coordinates are passed over.
+    Colours of faces are passed over.
     """
     binary = _BINARY.match(source.data)
     if binary is not None:
@@ -82,7 +82,7 @@ def parse_off(source: Source) -> MeshArrays | PointArrays:
     vertices = OffVertices.of(source, prefix, table)
     if faces is None:
         return vertices.cloud(source)
-    return polygon_mesh_of(source, vertices.positions, faces.values, faces.starts, faces.sizes)
+    return polygon_mesh_of(source, vertices.positions, faces.values, faces.starts, faces.sizes, vertices.values)
 
 
 def _line_by_line(lines: TextLines, vertices: int, faces: int) -> tuple[Float64Array, _Faces | None]:

@@ -33,7 +33,7 @@ def read_binary_off(source: Source, prefix: str, offset: int) -> MeshArrays | Po
     vertices = OffVertices.of(source, prefix, table)
     if not len(counts):
         return vertices.cloud(source)
-    return polygon_mesh_of(source, vertices.positions, corners, np.cumsum(counts) - counts, counts)
+    return polygon_mesh_of(source, vertices.positions, corners, np.cumsum(counts) - counts, counts, vertices.values)
 
 
 def _read(

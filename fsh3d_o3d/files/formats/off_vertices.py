@@ -8,7 +8,7 @@ import numpy as np
 
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import GeometryReadError
-from fsh3d_o3d.files.formats.result import cloud_of
+from fsh3d_o3d.files.formats.result import VertexValues, cloud_of
 from fsh3d_o3d.files.formats.source import Source
 from fsh3d_o3d.geometry import PointArrays
 
@@ -26,6 +26,13 @@ class OffVertices:
     """(v, 3), or None."""
     colors: Float64Array | None
     """(v, 3) in [0, 1], or None."""
+    uvs: Float64Array | None
+    """(v, 2) texture coordinates, or None."""
+
+    @property
+    def values(self) -> VertexValues:
+        """All but the positions."""
+        return VertexValues(self.normals, self.colors, self.uvs)
 
     @staticmethod
     def check_dimension(dimension: int) -> None:
@@ -57,7 +64,8 @@ class OffVertices:
         normals = table[:, at : at + _NORMAL] if "N" in prefix and table.shape[1] >= at + _NORMAL else None
         at += _NORMAL * ("N" in prefix)
         colors = _colors(table[:, at : at + 3]) if "C" in prefix and table.shape[1] in cls.widths(prefix) else None
-        return cls(positions, normals, colors)
+        uvs = table[:, -_TEXTURE:] if "ST" in prefix and table.shape[1] in cls.widths(prefix) else None
+        return cls(positions, normals, colors, uvs)
 
     def cloud(self, source: Source) -> PointArrays:
         """Return the vertices as points; normals that are not finite are left out."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -37,9 +38,11 @@ class Piece:
     triangles: IntArray
     """(t, 3) vertex indices; none for points."""
     normals: Float64Array | None = None
-    """(v, 3), of points that all have them."""
+    """(v, 3), where all have them."""
     colors: Float64Array | None = None
-    """(v, 3) in [0, 1], of points that all have them."""
+    """(v, 3) in [0, 1], where all have them."""
+    uvs: Float64Array | None = None
+    """(v, 2) texture coordinates, where all have them."""
 
 
 def require_size(vertices: int, triangles: int, what: str) -> None:
@@ -77,7 +80,9 @@ class GltfMeshes:
                 triangles += len(piece.triangles)
                 require_size(vertices, triangles, f"mesh {placed.mesh} has")
         given = {
-            name: [getattr(piece, name) for piece in pieces[1:]] for name in ("normals", "colors") if len(pieces) > 1
+            name: [getattr(piece, name) for piece in pieces[1:]]
+            for name in ("normals", "colors", "uvs")
+            if len(pieces) > 1
         }
         return Piece(
             np.concatenate([piece.vertices for piece in pieces]),
@@ -115,15 +120,28 @@ class GltfMeshes:
         if weights is None:
             weights = _weights(self._document.entry("meshes", placed.mesh))
         vertices = self._morphed(source, "POSITION", weights, rows)
-        normals = colors = None
-        if mode == _POINTS:
+        normals = colors = uvs = None
+        with self._dispensable(mode):
             normals = self._morphed(source, "NORMAL", weights, rows) if source.has("NORMAL") else None
+        with self._dispensable(mode):
             colors = self._colors(source, rows) if source.has("COLOR_0") else None
+        with self._dispensable(mode):
+            uvs = source.numbers("TEXCOORD_0", ("VEC2",), rows) if source.has("TEXCOORD_0") else None
         if placed.skin is not None:
             normals = None
             vertices, mirrored = self._skinned(source, placed.skin, vertices, rows)
             triangles = triangles[:, ::-1] if mirrored else triangles
-        return Piece(vertices, triangles + offset, normals, colors)
+        return Piece(vertices, triangles + offset, normals, colors, uvs)
+
+    @contextlib.contextmanager
+    def _dispensable(self, mode: int) -> Iterator[None]:
+        """What a surface can do without is left out with a note where it is damaged; of points, it is damage."""
+        try:
+            yield
+        except GeometryReadError as error:
+            if mode == _POINTS:
+                raise
+            self._document.source.note(f"{str(error).removeprefix('damaged: ')}; it was left out")
 
     def _morphed(
         self, source: _Attributes, name: str, weights: tuple[float, ...], rows: IntArray | None

@@ -18,7 +18,7 @@ from fsh3d_o3d.files.formats.gltf.document import GltfDocument
 from fsh3d_o3d.files.formats.gltf.meshes import GltfMeshes, Piece, Shape, require_size
 from fsh3d_o3d.files.formats.gltf.scene import GltfScene, PlacedMesh
 from fsh3d_o3d.files.formats.gltf.transforms import mirrors, placed, turned_normals
-from fsh3d_o3d.files.formats.result import cloud_of, mesh_of
+from fsh3d_o3d.files.formats.result import VertexValues, cloud_of, mesh_of
 from fsh3d_o3d.files.formats.source import Source
 from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
@@ -50,7 +50,7 @@ def _geometry(document: GltfDocument) -> MeshArrays | PointArrays:
         document.source.note(f"{' and '.join(passed)} beside the {kept} were passed over")
     pieces = _pieces(scene, meshes, kept)
     if kept == "triangles":
-        return mesh_of(document.source, *_surface(scene, pieces))
+        return mesh_of(document.source, *_surface(scene, pieces), _values(document.source, scene, pieces))
     return _cloud(document.source, scene, pieces)
 
 
@@ -87,6 +87,23 @@ def _surface(scene: GltfScene, pieces: list[tuple[PlacedMesh, int, Piece]]) -> t
     return vertices, triangles
 
 
+def _values(source: Source, scene: GltfScene, pieces: list[tuple[PlacedMesh, int, Piece]]) -> VertexValues:
+    """What all vertices have besides their places, in the order of the vertices."""
+    normals: list[Float64Array | None] = []
+    for placement, _, piece in pieces:
+        if piece.normals is None or placement.skin is not None:
+            normals.append(None)
+        else:
+            normals.append(turned_normals(scene.placements(placement), piece.normals).reshape(-1, 3))
+    colors = [None if piece.colors is None else np.tile(piece.colors, (copies, 1)) for _, copies, piece in pieces]
+    uvs = [None if piece.uvs is None else np.tile(piece.uvs, (copies, 1)) for _, copies, piece in pieces]
+    return VertexValues(
+        _common(source, "normals", normals),
+        _common(source, "colours", colors),
+        _common(source, "texture coordinates", uvs),
+    )
+
+
 def _cloud(source: Source, scene: GltfScene, pieces: list[tuple[PlacedMesh, int, Piece]]) -> PointArrays:
     points: list[Float64Array] = [np.empty((0, 3))]
     normals: list[Float64Array | None] = []
@@ -105,5 +122,5 @@ def _common(source: Source, name: str, parts: list[Float64Array | None]) -> Floa
     """Attributes of all parts; none where some have none."""
     given = [part for part in parts if part is not None]
     if given and len(given) < len(parts):
-        source.note(f"only some points have {name}; they were left out")
+        source.note(f"only some have {name}; they were left out")
     return np.concatenate(given) if given and len(given) == len(parts) else None

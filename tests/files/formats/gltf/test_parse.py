@@ -581,7 +581,7 @@ def test_points_become_a_cloud():
     file.tree["nodes"].append({"mesh": 1})
     both = parse(file.glb())
     assert (len(both.points), both.normals, both.colors) == (9, None, None)
-    assert "only some points have normals" in notes(file.glb())[0]
+    assert "only some have normals" in notes(file.glb())[0]
 
 
 def test_points_and_lines_beside_triangles_are_passed_over_with_a_note():
