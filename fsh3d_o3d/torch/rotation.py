@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fsh3d_o3d import sphere
+from fsh3d_o3d.sphere import degrees_and_orders
+from fsh3d_o3d.sphere import rotate_coefficients as rotated_exactly
 from fsh3d_o3d.torch import checks
 from fsh3d_o3d.torch.broadcasting import grouped
 from fsh3d_o3d.torch.coefficients import by_degree, from_degrees
@@ -124,8 +125,8 @@ def euler_angles(rotations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def quarter_turn(bandwidth: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     """(b, 2b−1, 2b−1) matrices of all degrees, row: of the result, column: of what is turned; zero outside."""
     b = bandwidth
-    order = sphere.degrees_and_orders(b)[1]
+    order = degrees_and_orders(b)[1]
     # A rotation keeps degrees apart, so that one function can carry a coefficient of order m in each of them.
     basis = (order == np.arange(1 - b, b)[:, None]).astype(np.float64)
-    columns = torch.from_numpy(sphere.rotate_coefficients(basis, _QUARTER_TURN, threads=1))
+    columns = torch.from_numpy(rotated_exactly(basis, _QUARTER_TURN, threads=1))
     return by_degree(columns).permute(1, 2, 0).to(dtype).to(device).contiguous()
