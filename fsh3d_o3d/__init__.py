@@ -40,7 +40,7 @@ from fsh3d_o3d.evaluation import (
     read_classification,
     retrieval_metrics,
 )
-from fsh3d_o3d.files import read_geometry, write_geometry
+from fsh3d_o3d.files import read_geometry, read_geometry_parts, write_geometry
 from fsh3d_o3d.geometry import (
     MeshArrays,
     MeshMeasures,
@@ -229,6 +229,7 @@ __all__ = [
     "from_any",
     "map_files",
     "read_geometry",
+    "read_geometry_parts",
     "repair_mesh",
     "star_center",
     "surface_error",

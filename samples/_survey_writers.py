@@ -1,7 +1,8 @@
-"""Writers of surveys: E57 with one or more scans. The same points give the same bytes on every machine."""
+"""Writers of surveys: E57 with one or more scans, LAS and LAZ. The same points give the same bytes on every machine."""
 
 from __future__ import annotations
 
+import io
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -127,3 +128,36 @@ def _physical(logical: int) -> int:
 def write_e57(path: Path, scans: Sequence[Scan]) -> None:
     """E57 with one or more scans."""
     path.write_bytes(e57_bytes(scans))
+
+
+def las_bytes(points: Array, colors: Array, *, packed: bool = False) -> bytes:
+    """LAS 1.2 in steps of 1e-5 with colours; packed as LAZ by lazrs."""
+    step, record = 1e-5, np.dtype([("xyz", "<i4", 3), ("rest", "u1", 8), ("rgb", "<u2", 3)])
+    table = np.zeros(len(points), dtype=record)
+    table["xyz"] = np.rint(rounded(points) / step)
+    table["rest"][:, 2] = 0b001001  # the first return of one
+    table["rgb"] = np.rint(colors * 255).astype(np.uint16) * 257
+    notes = b""
+    if packed:
+        import lazrs
+
+        vlr = lazrs.LazVlr.new_for_compression(2, 0)
+        about = bytes(vlr.record_data())
+        notes = struct.pack("<H16sHH32s", 0, b"laszip encoded", 22204, len(about), b"lazrs") + about
+    header = struct.pack(
+        "<4sHH16sBB32s32sHHHIIBHI5I",
+        *(b"LASF", 0, 0, bytes(16), 1, 2, b"OTHER", b"samples/generate.py", 0, 0, 227, 227 + len(notes)),
+        *(int(packed), 2 | 0x80 * packed, record.itemsize, len(table), len(table), 0, 0, 0, 0),
+    )
+    low, high = table["xyz"].min(axis=0) * step, table["xyz"].max(axis=0) * step
+    header += (
+        np.concatenate([np.full(3, step), np.zeros(3), np.stack([high, low], axis=1).ravel()]).astype("<f8").tobytes()
+    )
+    if not packed:
+        return header + table.tobytes()
+    stream = io.BytesIO()
+    stream.write(header + notes)
+    compressor = lazrs.LasZipCompressor(stream, vlr)
+    compressor.compress_many(table.view(np.uint8))
+    compressor.done()
+    return stream.getvalue()

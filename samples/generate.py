@@ -1,6 +1,7 @@
 """Write the sample shapes: `python samples/generate.py [--output DIR]`. README.md says what each one is for.
 
-The files are the same bytes on every run. Nothing here needs Open3D or the package itself.
+The files are the same bytes on every run. Nothing here needs Open3D or the package itself;
+lazrs packs one file, and without it that is left out.
 """
 
 from __future__ import annotations
@@ -24,7 +25,12 @@ from _bodies import (
     trefoil_knot,
     uniform,
 )
+from _cad_writers import write_iges, write_step
+from _scene_writers import write_3mf, write_dae, write_fbx, write_x3d, zip_bytes
 from _surfaces import Mesh, cube_sphere, halves, icosphere, radial, revolved, rotation, unit
+from _survey_writers import Scan, las_bytes, write_e57
+from _volume_writers import gzip_bytes, nifti_bytes, npy_bytes, nrrd_bytes, tiff_bytes
+from _vtk_writers import write_vtk, write_vtp, write_vtu
 from _writers import (
     Array,
     write_ascii_ply,
@@ -136,6 +142,59 @@ def _hues(angle: Array) -> Array:
     return 0.5 + 0.5 * np.cos(phase)
 
 
+def write_formats(folder: Path) -> None:
+    """One small file a format: a bracket with flat faces, a coloured ball of points, a volume of two labels."""
+    folder.mkdir(exist_ok=True)
+    outline = np.array([[0, 0], [40, 0], [40, 8], [8, 8], [8, 30], [0, 30]], dtype=np.float64)
+    points = np.vstack([np.insert(outline, 2, height, axis=1) for height in (0.0, 20.0)])
+    sides = [[k, (k + 1) % 6, (k + 1) % 6 + 6, k + 6] for k in range(6)]
+    polygons = [[5, 4, 3, 2, 1, 0], [6, 7, 8, 9, 10, 11], *sides]
+    # The caps are concave: cut by hand along the inner corner.
+    caps = [[5, 4, 3], [5, 3, 0], [3, 2, 0], [2, 1, 0]]
+    triangles = np.array([*caps, *([c + 6, b + 6, a + 6] for a, b, c in caps), *halves(np.array(sides)).tolist()])
+    write_ply(folder / "bracket.ply", points, triangles)
+    write_stl(folder / "bracket.stl", points, triangles)
+    packed = folder / "bracket.stl"
+    (folder / "bracket.stl.gz").write_bytes(gzip_bytes(packed.read_bytes()))
+    packed.unlink()
+    text = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in points.tolist())
+    text += "".join(f"f {' '.join(str(corner + 1) for corner in polygon)}\n" for polygon in polygons)
+    (folder / "bracket.zip").write_bytes(zip_bytes({"readme.txt": "a bracket\n", "parts/bracket.obj": text}))
+    write_3mf(folder / "bracket.3mf", points, triangles)
+    write_step(folder / "bracket.step", points, polygons)
+    write_iges(folder / "bracket.igs", points, polygons)
+    write_vtk(folder / "bracket.vtk", points, polygons)
+    write_vtp(folder / "bracket.vtp", points, polygons)
+    write_vtu(folder / "bracket.vtu", points, outline)
+    write_dae(folder / "bracket.dae", points, polygons)
+    write_x3d(folder / "bracket.x3d", points, polygons)
+    write_fbx(folder / "bracket.fbx", points, polygons)
+
+    ball = scattered_directions(39, 1200)  # that of coloured_ball.pcd
+    hues = _hues(3.0 * np.pi * ball[:, 2])
+    (folder / "ball.las").write_bytes(las_bytes(ball, hues))
+    try:
+        (folder / "ball.laz").write_bytes(las_bytes(ball, hues, packed=True))
+    except ModuleNotFoundError:
+        print("formats/ball.laz left out: it takes the package lazrs")
+    # Two scanners that stand apart, one turned by a quarter about z: each sees a half.
+    upper = ball[:, 2] > 0
+    turn = (float(np.sqrt(0.5)), 0.0, 0.0, float(np.sqrt(0.5)))
+    x, y, z = ball[upper].T - np.array([[3.0], [1.0], [2.0]])
+    seen = Scan("upper", np.stack([y, -x, z], axis=1), turn, (3.0, 1.0, 2.0), hues[upper])
+    write_e57(folder / "ball.e57", [seen, Scan("lower", ball[~upper], colors=hues[~upper])])
+
+    i, j, k = np.meshgrid(*(np.arange(size) for size in (24, 20, 12)), indexing="ij")
+    labels = np.zeros(i.shape, dtype=np.uint8)
+    labels[(i - 8) ** 2 + (j - 9) ** 2 * 2.25 + (k - 5) ** 2 * 4 < 49] = 1  # a ball of 3.5 mm, in voxels of these sizes
+    labels[17:22, 4:16, 2:9] = 2
+    spacing = (0.5, 0.75, 1.0)
+    (folder / "labels.nii.gz").write_bytes(gzip_bytes(nifti_bytes(labels, spacing)))
+    (folder / "labels.nrrd").write_bytes(nrrd_bytes(labels, spacing))
+    (folder / "labels.tif").write_bytes(tiff_bytes(labels, spacing))
+    (folder / "labels.npy").write_bytes(npy_bytes(labels))
+
+
 def write_broken(folder: Path) -> None:
     """Files a reader has to refuse, in a way of its own for each format."""
     folder.mkdir(exist_ok=True)
@@ -193,6 +252,7 @@ def main() -> None:
     write_not_star_shaped(folder)
     write_open(folder)
     write_clouds(folder)
+    write_formats(folder / "formats")
     write_broken(folder / "broken")
 
 

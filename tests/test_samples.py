@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -95,6 +96,8 @@ def test_the_script_writes_the_committed_files_byte_for_byte(tmp_path: Path) -> 
     script = SAMPLES / "generate.py"
     subprocess.run([sys.executable, "-B", str(script), "--output", str(tmp_path)], check=True)
     expected, actual = generated_files(SAMPLES), generated_files(tmp_path)
+    if importlib.util.find_spec("lazrs") is None:  # that packs it
+        expected.pop("formats/ball.laz")
     assert sorted(actual) == sorted(expected)
     assert [name for name in actual if actual[name] != expected[name]] == []
 

@@ -16,6 +16,7 @@ from .object_storage import storage_error as storage_error
 from .parsing import file_content as file_content
 from .parsing import parse_content as parse_content
 from .parsing import parse_with as parse_with
+from .parts import read_geometry_parts as read_geometry_parts
 from .reading import READABLE_FORMATS as READABLE_FORMATS
 from .reading import read_geometry as read_geometry
 from .reading import read_geometry_arrays as read_geometry_arrays

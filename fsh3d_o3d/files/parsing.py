@@ -51,6 +51,7 @@ _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("TIFF", re.compile(rb"II[*+]\0|MM\0[*+]")),
     ("NRRD", re.compile(rb"NRRD000")),
     ("NPY", re.compile(rb"\x93NUMPY")),
+    ("FBX", re.compile(rb"Kaydara FBX Binary|; FBX \d")),
     ("VTK", re.compile(rb"# vtk DataFile")),
     ("ZIP", re.compile(rb"PK\x03\x04")),
     ("GZIP", re.compile(rb"\x1f\x8b")),

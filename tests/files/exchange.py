@@ -22,7 +22,7 @@ from tests.files.volumes import labels, nifti, nrrd
 with pytest.MonkeyPatch.context() as _patch:
     _patch.syspath_prepend(str(Path(__file__).parents[2] / "samples"))
     from _cad_writers import iges_bytes, step_bytes
-    from _scene_writers import dae_bytes, threemf_bytes, x3d_bytes
+    from _scene_writers import dae_bytes, fbx_bytes, threemf_bytes, x3d_bytes
     from _survey_writers import Scan, e57_bytes
 
 CLOUD = Content(VERTICES, None, None, COLORS / 255)
@@ -69,6 +69,9 @@ def exchange_files() -> dict[str, Exchange]:
         *_volumes(),
         Exchange("component.3mf", threemf_bytes(VERTICES, TRIANGLES)),
         Exchange("plain.dae", dae_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-12, tail=1),
+        Exchange("text.fbx", fbx_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-12, tail=1),
+        Exchange("binary.fbx", fbx_binary(7400), "octahedron", 1e-12, tail=13),
+        Exchange("wide.fbx", fbx_binary(7700), "octahedron", 1e-12, tail=25),
         Exchange("plain.x3d", x3d_bytes(VERTICES, TRIANGLES.tolist()), "octahedron", 1e-12, tail=1),
         Exchange("plain.vtk", vtk_text(), tail=1),
         Exchange("plain.vtp", vtp_bytes(Content(VERTICES, TRIANGLES, NORMALS, COLORS / 255)), tail=11),
@@ -166,6 +169,44 @@ def vtu(points: np.ndarray = VERTICES, cells: np.ndarray = TRIANGLES, kind: int 
         f'<Points><DataArray type="Float64" NumberOfComponents="3" format="binary">{packed(points)}</DataArray>'
         f"</Points><Cells>{lists}</Cells></Piece></UnstructuredGrid></VTKFile>\n"
     ).encode()
+
+
+def fbx_binary(version: int) -> bytes:
+    """Binary FBX of the octahedron below a model that is moved and turned, arrays packed."""
+    wide = version >= 7500
+    head, empty = ("<QQQB", bytes(25)) if wide else ("<IIIB", bytes(13))
+    inside = (VERTICES - [1.0, 2.0, 3.0]) @ TURNED
+    listed = np.where(np.arange(24) % 3 == 2, -1 - TRIANGLES.ravel(), TRIANGLES.ravel())
+
+    def value(one: object) -> bytes:
+        if isinstance(one, str):
+            return b"S" + struct.pack("<I", len(one)) + one.encode()
+        if isinstance(one, np.ndarray):
+            data = zlib.compress(one.tobytes())
+            return {"f8": b"d", "i4": b"i"}[one.dtype.str[1:]] + struct.pack("<III", one.size, 1, len(data)) + data
+        return b"L" + struct.pack("<q", one) if isinstance(one, int) else b"D" + struct.pack("<d", one)
+
+    def record(at: int, name: str, values: list, children: list) -> bytes:
+        body = name.encode() + b"".join(map(value, values))
+        size = len(body) - len(name)
+        begin = struct.calcsize(head)
+        for child in children:
+            body += record(at + begin + len(body), *child)
+        body += empty if children else b""
+        return struct.pack(head, at + begin + len(body), len(values), size, len(name)) + body
+
+    turned = ["Lcl Rotation", "Lcl Rotation", "", "A", 0.0, 0.0, 90.0]
+    moved = ["Lcl Translation", "Lcl Translation", "", "A", 1.0, 2.0, 3.0]
+    geometry = [("Vertices", [inside.ravel()], []), ("PolygonVertexIndex", [listed.astype("<i4")], [])]
+    properties = ("Properties70", [], [("P", moved, []), ("P", turned, [])])
+    tree = [
+        ("Objects", [], [("Geometry", [10, "part", "Mesh"], geometry), ("Model", [20, "part", "Mesh"], [properties])]),
+        ("Connections", [], [("C", ["OO", 20, 0], []), ("C", ["OO", 10, 20], [])]),
+    ]
+    result = b"Kaydara FBX Binary  \0\x1a\0" + struct.pack("<I", version)
+    for one in tree:
+        result += record(len(result), *one)
+    return result + empty
 
 
 def _volumes() -> list[Exchange]:

@@ -49,6 +49,7 @@ PARSERS: dict[str, Parser] = {
     ".e57": _when_met("e57", "parse_e57"),
     ".dae": _when_met("collada", "parse_dae"),
     ".x3d": _when_met("x3d", "parse_x3d"),
+    ".fbx": _when_met("fbx", "parse_fbx"),
     ".vtk": _when_met("vtk", "parse_vtk"),
     ".vtp": _when_met("vtk", "parse_vtk_xml"),
     ".vtu": _when_met("vtk", "parse_vtk_xml"),
@@ -64,7 +65,7 @@ PARSERS: dict[str, Parser] = {
 """A file's extension, and what turns its content into arrays or raises ``GeometryError`` with the reason."""
 
 NOT_TEXT: frozenset[str] = frozenset(
-    {".glb", ".3mf", ".las", ".laz", ".e57", ".nii", ".nrrd", ".nhdr", ".tif", ".tiff", ".npy"}
+    {".glb", ".3mf", ".las", ".laz", ".e57", ".fbx", ".nii", ".nrrd", ".nhdr", ".tif", ".tiff", ".npy"}
 )
 """Formats whose first bytes are never a mark of Unicode."""
 
