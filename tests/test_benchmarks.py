@@ -33,6 +33,7 @@ ACCURACY = {
     "median",
     "max",
     "success",
+    "times FPFH's share",
 }
 TABLES = {
     "weights": ["weights", "weights_small_grids"],
@@ -42,6 +43,7 @@ TABLES = {
     "radial": ["radial_meshes", "radial_clouds"],
     "features": ["features_rotation"],
     "descriptors": ["descriptors"],
+    "local_features": ["local_features"],
     "registration": ["registration"],
     "index": ["index"],
     "rotation": ["rotation", "rotation_pair", "rotation_batch"],

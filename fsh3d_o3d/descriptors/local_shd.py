@@ -15,7 +15,7 @@ from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry import MeshArrays, geometry_arrays, surface_of, triangle_areas
 from fsh3d_o3d.sphere import single_threaded_blas
 
-_RADIUS = 0.6  # typical sizes (median distance from the mean): large enough to differ, small enough to be seen whole
+_RADIUS = 1.0  # typical sizes (median distance from the mean); of halves and of views 60° apart the best of 0.5 … 1.2
 _SAMPLES_A_CELL = 6.0  # points on a mesh for each cell of its area, as dense as scans mostly are
 _FEWEST_SAMPLES, _MOST_SAMPLES = 4096, 2_000_000  # on a mesh; more would need more than 200 MB
 _BYTES_A_NUMBER = 24.0  # coefficients in single precision, features in double, and a copy while they are made
@@ -29,14 +29,14 @@ class LocalSHDOption:
         >>> half, whole = fsh.read_geometry("samples/stone_cloud.xyzn"), fsh.read_geometry("samples/stone_degree8.ply")
         >>> option = fsh.LocalSHDOption.common(half, whole)  # features of both can be compared
         >>> option.radius > 0, option.length
-        (True, 45)
+        (True, 63)
     """
 
     radius: float | None = None
-    """Of the surroundings that are described, in units of the geometry; what is compared needs the same. None: three
-    fifths of the median distance of the points from their mean. Only by the density around them do points from one to
+    """Of the surroundings that are described, in units of the geometry; what is compared needs the same. None: the
+    median distance of the points from their mean. Only by the density around them do points from one to
     three radii off have an influence, and farther ones none."""
-    bandwidth: int = 5
+    bandwidth: int = 6
     """b: degrees 0 … b − 1 of the harmonics."""
     shells: int = 3
     """S: windows of the distance from the point, up to the radius."""
@@ -53,7 +53,7 @@ class LocalSHDOption:
         return self.shells * self.bandwidth * (self.bandwidth + 1) // 2
 
     @classmethod
-    def common(cls, *geometries: Any, bandwidth: int = 5, shells: int = 3) -> LocalSHDOption:
+    def common(cls, *geometries: Any, bandwidth: int = 6, shells: int = 3) -> LocalSHDOption:
         """Return the option for geometries that are to be compared: its radius fits the smallest of them.
 
         Raises:
@@ -97,9 +97,9 @@ def compute_local_shd_feature(geometry: Any, option: LocalSHDOption | None = Non
         >>> cloud = fsh.read_geometry("samples/stone_cloud.xyzn")
         >>> feature = fsh.compute_local_shd_feature(cloud)
         >>> feature.data.shape
-        (45, 2000)
+        (63, 2000)
         >>> fsh.compute_local_shd_feature(cloud, keypoints=[3, 5, 8]).data.shape
-        (45, 3)
+        (63, 3)
     """
     option = LocalSHDOption() if option is None else option
     if not isinstance(option, LocalSHDOption):

@@ -76,7 +76,7 @@ def test_every_kind_of_geometry_has_a_column_a_point() -> None:
     tensor = fsh.compute_local_shd_feature(o3d.t.geometry.PointCloud.from_legacy(cloud(points), o3d.core.float64)).data
     inside_out = cloud(points)
     inside_out.normals = o3d.utility.Vector3dVector(-points)
-    assert plain.shape == (45, 2000)
+    assert plain.shape == (63, 2000)
     assert plain.dtype == np.float64
     assert np.array_equal(plain, tensor)
     assert np.array_equal(plain, fsh.compute_local_shd_feature(inside_out).data)
@@ -90,7 +90,7 @@ def test_a_mesh_and_a_cloud_of_it_have_like_features() -> None:
     chosen = np.arange(0, len(mesh.vertices), max(1, len(mesh.vertices) // 100))
     of_mesh = fsh.compute_local_shd_feature(mesh, option, chosen).data
     of_scan = fsh.compute_local_shd_feature(scan, option, np.asarray(mesh.vertices)[chosen]).data
-    assert of_mesh.shape == (45, len(chosen))
+    assert of_mesh.shape == (63, len(chosen))
     own = np.einsum("di,di->i", of_mesh, of_scan)
     assert np.median(own) > 0.98
     assert np.mean((of_mesh.T @ of_scan).argmax(axis=1) == np.arange(len(chosen))) > 0.5  # vertices lie close together
@@ -142,7 +142,7 @@ def test_duplicates_change_nothing_that_counts() -> None:
 )
 def test_poor_clouds_have_finite_features(points: np.ndarray) -> None:
     data = fsh.compute_local_shd_feature(cloud(points)).data
-    assert data.shape == (45, len(points))
+    assert data.shape == (63, len(points))
     assert np.isfinite(data).all()
     assert data.any()
 

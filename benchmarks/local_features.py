@@ -1,0 +1,174 @@
+"""Features of points: how often mutual nearest matches are right, and what a point costs, beside FPFH on the same ones.
+
+Both describe the points of one cloud thinned to 3 % of the model's diagonal, as Open3D's tutorial does before FPFH;
+ours looks at the whole cloud around them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+import fsh3d_o3d as fsh
+from benchmarks._alignment_pairs import asymmetric_shapes
+from benchmarks._measure import limited
+from benchmarks._table import Cell, Check, Column, Row, Table
+from fsh3d_o3d.geometry import MeshArrays, area_samples, ray_casting_scene
+
+Points = NDArray[np.float64]
+
+_VOXEL = 0.03  # of the diagonal, as in registration's benchmark for the best of RANSAC
+_POINTS = 20_000  # of a whole, before the cut
+_NOISE = 0.002  # of the diagonal, along the rays of a depth view: a good depth camera on an object that fills it
+_RIGHT = 0.05  # of the diagonal; matched points closer than this in the true pose are right
+_RAYS = 220  # along a side of a depth view
+_DISTANCE, _OPENING = 2.0, 32.0  # diagonals to the camera, and degrees that it sees
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two clouds of one model of unit diagonal, in its pose."""
+
+    source: Points
+    target: Points
+    turn: NDArray[np.float64]
+    """(3, 3) by which the source is turned before it is described."""
+
+
+def run(*, quick: bool = False) -> Iterator[Table]:
+    """Yield the table of shares of right matches and times."""
+    shapes = [_unit(mesh) for _, mesh in asymmetric_shapes(2 if quick else 30, samples=quick)]
+    rows = []
+    for kind, parts in KINDS.items():
+        random = np.random.default_rng(list(KINDS).index(kind))
+        cases = [Pair(*parts(mesh, random), Rotation.random(rng=random).as_matrix()) for mesh in shapes]
+        results = {name: _tried(method, cases) for name, method in METHODS.items()}
+        peer_share, peer_seconds = (float(np.mean(part)) for part in zip(*results["FPFH"], strict=True))
+        for name, tried in results.items():
+            share, seconds = (float(np.mean(part)) for part in zip(*tried, strict=True))
+            checks = (
+                Check("times FPFH's share", share / max(peer_share, 1e-9), ">=", 2.0),
+                Check("times FPFH's time", seconds / peer_seconds, "<=", 2.0),
+            )
+            cells: dict[str, Cell] = {
+                "kind": kind,
+                "method": name,
+                "pairs": len(cases),
+                "right": share,
+                "ratio": share / max(peer_share, 1e-9),
+                "seconds": seconds,
+                "slower": seconds / peer_seconds,
+            }
+            rows.append(Row(cells, checks if name == "ours" else ()))
+    yield Table(
+        "local_features",
+        f"Features of points of {len(shapes)} asymmetric shapes seen in part: mutual nearest matches",
+        (
+            Column("kind", "pair"),
+            Column("method", "method"),
+            Column("pairs", "pairs", "d"),
+            Column("right", "right %", ".1f", 100),
+            Column("ratio", "right / FPFH's", ".1f"),
+            Column("seconds", "µs a point", ".0f", 1e6),
+            Column("slower", "time / FPFH's", ".1f"),
+        ),
+        tuple(rows),
+        notes=(
+            f"right: closer than {100 * _RIGHT:g} % of the diagonal in the true pose.",
+            "Processor time of one thread, with normals for FPFH and thinning for ours.",
+        ),
+    )
+
+
+def _tried(method: Callable[[Points, Points, float], Any], cases: list[Pair]) -> list[tuple[float, float]]:
+    """Shares of right matches and seconds a point, one a pair."""
+    results = []
+    with limited(1):
+        for case in cases:
+            source = case.source @ case.turn.T
+            keys = [_thinned(cloud) for cloud in (source, case.target)]
+            radius = fsh.LocalSHDOption.common(source, case.target).radius or 0.0
+            begin = time.process_time()
+            first, second = (method(cloud, key, radius) for cloud, key in zip((source, case.target), keys, strict=True))
+            seconds = (time.process_time() - begin) / sum(map(len, keys))
+            ours, theirs = _mutual(first.data.T, second.data.T)
+            apart = np.linalg.norm(keys[0][ours] @ case.turn - keys[1][theirs], axis=1)
+            results.append((float(np.mean(apart < _RIGHT)), seconds))
+    return results
+
+
+def _mutual(first: Points, second: Points) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows that are each other's nearest; Open3D's own filter gives all matches where few are mutual."""
+    there, back = cKDTree(second).query(first)[1], cKDTree(first).query(second)[1]
+    rows = np.flatnonzero(back[there] == np.arange(len(first)))
+    return rows, there[rows]
+
+
+def _ours(cloud: Points, keys: Points, radius: float) -> Any:
+    return fsh.compute_local_shd_feature(cloud, fsh.LocalSHDOption(radius=radius), keys)
+
+
+def _fpfh(_: Points, keys: Points, __: float) -> Any:
+    thinned = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(keys))
+    thinned.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(2 * _VOXEL, 30))
+    near = o3d.geometry.KDTreeSearchParamHybrid(5 * _VOXEL, 100)
+    return o3d.pipelines.registration.compute_fpfh_feature(thinned, near)
+
+
+METHODS: dict[str, Callable[[Points, Points, float], Any]] = {"ours": _ours, "FPFH": _fpfh}
+"""Of a cloud, its key points and a radius, an Open3D feature."""
+
+
+def _thinned(cloud: Points) -> Points:
+    thinned = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud)).voxel_down_sample(_VOXEL)
+    return np.array(thinned.points)
+
+
+def _unit(mesh: MeshArrays) -> MeshArrays:
+    low, high = mesh.used_vertices.min(axis=0), mesh.used_vertices.max(axis=0)
+    return MeshArrays((mesh.vertices - (low + high) / 2) / mesh.diagonal, mesh.triangles)
+
+
+def _half(mesh: MeshArrays, random: np.random.Generator) -> tuple[Points, Points]:
+    whole, again = (area_samples(mesh, _POINTS, seed=int(random.integers(2**31)))[0] for _ in range(2))
+    height = whole @ _direction(random)
+    return whole[height < np.median(height)], again
+
+
+def _views(mesh: MeshArrays, random: np.random.Generator) -> tuple[Points, Points]:
+    first, other = _direction(random), _direction(random)
+    beside = np.cross(first, other)
+    second = np.cos(np.pi / 3) * first + np.sin(np.pi / 3) * beside / np.linalg.norm(beside)
+    return _view(mesh, first, random), _view(mesh, second, random)
+
+
+def _view(mesh: MeshArrays, direction: Points, random: np.random.Generator) -> Points:
+    """What a depth camera sees from there."""
+    up = [0.0, 0.0, 1.0] if abs(direction[2]) < 0.9 else [0.0, 1.0, 0.0]
+    scene = ray_casting_scene(mesh.vertices, mesh.triangles)
+    rays = scene.create_rays_pinhole(_OPENING, [0.0, 0.0, 0.0], list(_DISTANCE * direction), up, _RAYS, _RAYS)
+    depth = scene.cast_rays(rays)["t_hit"].numpy().ravel()
+    lines = rays.numpy().reshape(-1, 6)[np.isfinite(depth)].astype(np.float64)
+    length = np.linalg.norm(lines[:, 3:], axis=1)
+    far = depth[np.isfinite(depth)] * length + _NOISE * random.standard_normal(len(lines))
+    return np.asarray(lines[:, :3] + lines[:, 3:] * (far / length)[:, None])
+
+
+def _direction(random: np.random.Generator) -> Points:
+    vector = random.standard_normal(3)
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+KINDS: dict[str, Callable[[MeshArrays, np.random.Generator], tuple[Points, Points]]] = {
+    "half cut off": _half,
+    "views 60° apart": _views,
+}
+"""What of a model the two clouds of a pair show, by name."""
