@@ -42,8 +42,11 @@ def read_geometry_arrays(
     placed as they stand while no animation plays, STL corners are welded where they are equal to the last bit; other
     duplicate vertices stay).
     Points: ``.xyz .xyzn .xyzrgb .pts .pcd``, and ``.ply .obj .off`` and glTF without faces, with normals and colours
-    where the file has them. Shapes: ``.npz`` as ``Shape.save`` writes it, decoded to a mesh. Buffers of a ``.gltf`` may
-    lie in the same folder under a plain name; nothing else is opened.
+    where the file has them. Exchange of CAD, printing, surveying, simulation and medicine: ``.3mf .step .iges .las .laz
+    .e57 .vtk .vtp .vtu .dae .x3d .fbx .nii .nrrd .tif .npy``, some with an extra (``docs/formats.md``); and each of
+    these packed as ``.gz``, or alone in a ``.zip``. Shapes: ``.npz`` as ``Shape.save`` writes it, decoded to a mesh.
+    Buffers of a ``.gltf`` may lie in the same folder under a plain name, and voxels of a ``.nhdr``; nothing else is
+    opened.
 
     Args:
         path: The file; its extension names the format. Also ``s3://bucket/name`` and the like, with the credentials
