@@ -16,6 +16,7 @@ from benchmarks import (
     features,
     harmonics,
     index,
+    learning,
     local_features,
     radial,
     registration,
@@ -39,6 +40,7 @@ BENCHMARKS = {
     "registration": registration.run,
     "index": index.run,
     "rotation": rotation.run,
+    "learning": learning.run,
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from typing import Any, SupportsIndex, cast
 
@@ -70,7 +71,7 @@ def number(
         result = float(cast(Any, value))
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be a number, got {type(value).__name__} {value!r}") from None
-    if not np.isfinite(result):
+    if not math.isfinite(result):
         raise ValueError(f"{name} must be finite, got {result}")
     if result < minimum or result > maximum or (exclusive and result <= minimum):
         sign = ">" if exclusive else ">="

@@ -15,6 +15,7 @@ import fsh3d_o3d as fsh
 from benchmarks import __main__ as command
 from benchmarks import _measure, _table, harmonics
 from benchmarks._table import Check, Column, Curve, Plot, Row, Table, write_tables
+from tests.optional import skip_without_torch
 
 # Figures that do not depend on the machine's speed: their targets hold at any size.
 ACCURACY = {
@@ -47,11 +48,13 @@ TABLES = {
     "registration": ["registration"],
     "index": ["index"],
     "rotation": ["rotation", "rotation_pair", "rotation_batch"],
+    "learning": ["learning_transform", "learning_evaluation", "learning_memory", "learning_device"],
 }
 
 
 @pytest.mark.parametrize("name", list(command.BENCHMARKS))
 def test_quick_run_gives_well_formed_tables(name: str) -> None:
+    skip_without_torch(needed=name == "learning")
     tables = list(command.BENCHMARKS[name](quick=True))
     assert [table.name for table in tables] == TABLES[name]
     for table in tables:

@@ -20,7 +20,7 @@ __all__ = ["SphericalHarmonicTransform"]
 
 Engine = Literal["auto", "dense", "sums"]
 
-_SMALLEST_DENSE_BATCH = {24: 1, 32: 4, 40: 16, 64: 64}  # functions, by bandwidth up to which so many suffice; measured
+_SMALLEST_DENSE_BATCH = {24: 1, 32: 8, 40: 24}  # functions, by bandwidth up to which so many suffice; as in NumPy
 _CPU_BYTES = 2**29  # of the matrices on the CPU, a choice: the fast transform needs none
 _DEVICE_BYTES = 2**33  # on a device, a choice: bandwidth 128 in float64, a tenth of what large ones have
 

@@ -79,6 +79,15 @@ def test_they_do_not_notice_rotations():
     assert difference(ft.cross_shell_invariants(turned), ft.cross_shell_invariants(coefficients)) < 1e-13
 
 
+def test_compilers():
+    compiled = torch.compile(ft.cross_shell_invariants, backend="aot_eager", fullgraph=True)
+    coefficients = randn(2, 3, 16, grad=True)
+    slopes = [
+        torch.autograd.grad(f(coefficients).sum(), coefficients)[0] for f in (compiled, ft.cross_shell_invariants)
+    ]
+    assert difference(*slopes) < 1e-13
+
+
 def test_second_derivatives_are_refused_in_words():
     coefficients = randn(2, 9, grad=True)
     (slope,) = torch.autograd.grad(ft.cross_shell_invariants(coefficients).sum(), coefficients, create_graph=True)
