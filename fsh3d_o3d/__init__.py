@@ -66,9 +66,13 @@ from fsh3d_o3d.index import (
 from fsh3d_o3d.jobs import FailedInput, clear_descriptor_cache, map_files
 from fsh3d_o3d.radial import StarReport, star_center
 from fsh3d_o3d.registration import (
+    ScanPair,
+    ScanRegistrationOption,
+    ScanRegistrationResult,
     SphericalRegistrationCandidate,
     SphericalRegistrationOption,
     SphericalRegistrationResult,
+    register_scans,
     registration_spherical,
 )
 from fsh3d_o3d.shapes import ConformalShape, RadialShape, Shape, ShellShape, ShellVolume, canonical_rotation, load_shape
@@ -189,9 +193,13 @@ __all__ = [
     "descriptor_distances",
     "shd_descriptor",
     # registration
+    "ScanPair",
+    "ScanRegistrationOption",
+    "ScanRegistrationResult",
     "SphericalRegistrationCandidate",
     "SphericalRegistrationOption",
     "SphericalRegistrationResult",
+    "register_scans",
     "registration_spherical",
     # retrieval
     "ClassScores",
