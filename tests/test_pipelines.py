@@ -7,6 +7,7 @@ from pathlib import Path
 from tests.scripts import run_script
 
 PIPELINES = Path(__file__).parents[1] / "pipelines"
+SAMPLES = Path(__file__).parents[1] / "samples"
 
 
 def test_demo(tmp_path):
@@ -28,6 +29,17 @@ def test_align_scans(tmp_path):
     assert "confidence 1.00, ambiguity none, scale 0.00" in done.stdout
     assert "ICP from where they lie           fitness 0.000" in done.stdout
     assert "spherical registration, then ICP  fitness 1.000" in done.stdout
+
+
+def test_merge_scans(tmp_path):
+    small = ("--views", 8, "--pixels", 120, "--bandwidth", 12, "--shells", 24)
+    done = run_script(PIPELINES / "merge_scans.py", SAMPLES / "horn.off", *small, "--output", tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert {path.name for path in tmp_path.iterdir()} == {"merged.ply", "closed.ply", "scans.png", "closed.png"}
+    assert "8 of 8 scans placed" in done.stdout
+    assert "closed: True" in done.stdout
+    # Half the noise along the rays, and what twelve degrees leave out.
+    assert float(done.stdout.split("RMSE ")[1].split()[0]) < 1
 
 
 def test_sphere_map(tmp_path):

@@ -91,6 +91,7 @@ def examples() -> dict[type, Any]:
         compute_signature(mesh),
         fsh.SphericalRegistrationOption(candidates=3),
         aligned,
+        fsh.register_scans([mesh]),
         metrics,
         metrics.macro,
         metrics.classes[0],

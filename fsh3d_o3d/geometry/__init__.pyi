@@ -6,12 +6,12 @@ from .arrays import rearranged as rearranged
 from .arrays import selected as selected
 from .closest import closest_points as closest_points
 from .concave_polygon import triangulate as triangulate
+from .even_thinning import evenly_thinned as evenly_thinned
+from .even_thinning import voxel_averaged as voxel_averaged
 from .given import from_any as from_any
 from .given import geometry_arrays as geometry_arrays
 from .given import read_paths_with as read_paths_with
 from .given import to_open3d as to_open3d
-from .even_thinning import evenly_thinned as evenly_thinned
-from .even_thinning import voxel_averaged as voxel_averaged
 from .measures import MeshMeasures as MeshMeasures
 from .measures import area_samples as area_samples
 from .measures import component_areas as component_areas

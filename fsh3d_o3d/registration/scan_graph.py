@@ -168,6 +168,7 @@ def _pose_graph(
     kept = {(edge.source_node_id, edge.target_node_id) for edge in graph.edges}
     base = np.linalg.inv(np.asarray(graph.nodes[0].pose))
     better = {scan: _rigid(base @ np.asarray(graph.nodes[node[scan]].pose)) for scan in scans}
+    better[scans[0]] = np.eye(4)
     if not all(np.isfinite(pose).all() for pose in better.values()):
         return poses, np.ones(len(edges), dtype=np.bool_)
     return better, np.array([(node[edge.source], node[edge.target]) in kept for edge in edges])

@@ -97,6 +97,9 @@ def viewpoints_of(viewpoints: Any, count: int) -> list[Float64Array | None]:
 
 def _finite(cloud: Any) -> tuple[MeshArrays | PointArrays, GeometryKind, int]:
     """The geometry, its kind, and how many points were left out because they are NaN or infinite."""
+    if isinstance(cloud, np.ndarray) and cloud.ndim == 2 and cloud.dtype.kind == "f":
+        finite = np.isfinite(cloud).all(axis=1)
+        return *geometry_arrays(cloud[finite] if finite.any() else cloud), int(np.count_nonzero(~finite))
     o3d = open3d()
     if isinstance(cloud, o3d.geometry.PointCloud):
         points = np.asarray(cloud.points)

@@ -15,12 +15,12 @@ from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.registration.scan_fit import Contact
 from fsh3d_o3d.registration.scan_result import DropReason
 
-_HALF_AGREES = 0.65  # of what comes close is in contact; wrong poses of views reached 0.6, right ones had 0.8 to 1
+_HALF_AGREES = 0.7  # of what comes close is in contact; few wrong poses of views exceed 0.6, few right ones miss 0.8
 _AGREEMENT_STEP = 0.04  # of that, which changes the odds by a factor of e; from the same poses
 _MOST_AGREES = 8.0  # log odds that agreement counts at most, for or against
 _HALF_OVERLAP = 0.15  # geometric mean of both shares in contact; agreement of less is easily chance
 _OVERLAP_STEP = 0.03  # of that, which changes the odds by a factor of e
-_LEAST_OVERLAPS, _MOST_OVERLAPS = -6.0, 2.0  # log odds; more overlap is not better, where scans share a part only
+_LEAST_OVERLAPS, _MOST_OVERLAPS = -6.0, 1.0  # log odds; more overlap is not better, where scans share a part only
 _HIDDEN_FREE = 0.05  # share in front of what was seen that right poses reach, by noise and by edges
 _HIDDEN_STEP = 0.02  # more of it that changes the odds by a factor of e; wrong poses have 0.08 to 0.4
 _HALF_CONFIDENT = 0.4  # confidence of the registration that alone is believed by half; from 0.5 on, nearly all is right
@@ -33,8 +33,9 @@ _MOST_BELIEVED = 0.998  # nothing is certain by one pair
 _LOOP_CHANCE = 0.05  # of a loop with a wrong pose to close all the same; shapes have repeating parts
 # Bounds of how all loops of a pose change its log odds. They speak for it by little: views of a round body laid on top
 # of each other close all loops, and are wrong.
-_LOOP_EVIDENCE = (-8.0, 2.0)
+_LOOP_EVIDENCE = (-12.0, 1.5)
 _LOOP_GAP = 0.15  # units (RMS radii) that a loop may miss by: some 5 % of the diagonal, or 8 degrees
+_MOST_SURE = 0.99  # of the other two of a loop; a loop that stays open leaves a hundredth of the odds, and not nothing
 _ROUNDS = 8  # of passing belief around; a choice
 
 
@@ -123,7 +124,7 @@ def believed(poses: list[PairPose]) -> tuple[Float64Array, IntArray]:
             ):
                 both = np.outer(belief[b], belief[c])
                 agreeing = (closed * both).sum(axis=(1, 2))
-                evidence[a] += np.log(1 - min(both.sum(), 1 - _LOOP_CHANCE) + agreeing / _LOOP_CHANCE)
+                evidence[a] += np.log(1 - min(both.sum(), _MOST_SURE) + agreeing / _LOOP_CHANCE)
                 closing[a] += agreeing > 0.25  # both others are believed by half
         belief = (belief + _normalised(own + np.clip(evidence, *_LOOP_EVIDENCE), members)) / 2
     return belief, closing

@@ -44,7 +44,7 @@ class ScanPair:
 
     Example:
         >>> points = np.asarray(fsh.read_geometry("samples/stone_cloud.xyzn").points)
-        >>> result = fsh.register_scans([fsh.PointArrays(points), fsh.PointArrays(points[::2])])
+        >>> result = fsh.register_scans([points, points[::2]])
         >>> [(pair.source, pair.target, pair.used) for pair in result.pairs]
         [(1, 0, True)]
     """
@@ -73,7 +73,7 @@ class ScanRegistrationResult:
 
     Example:
         >>> points = np.asarray(fsh.read_geometry("samples/stone_cloud.xyzn").points)
-        >>> result = fsh.register_scans([fsh.PointArrays(points), fsh.PointArrays(points[::2] + [5, 0, 0])])
+        >>> result = fsh.register_scans([points, points[::2] + [5, 0, 0]])
         >>> result.placed
         array([ True,  True])
         >>> bool(np.abs(result.poses[1][:3, 3] - [-5, 0, 0]).max() < 0.05)
@@ -109,6 +109,15 @@ class ScanRegistrationResult:
         """Indices of the scans that do not."""
         return tuple(int(index) for index in np.flatnonzero(~self.placed))
 
+    def in_one_frame(self, group: int = 0) -> list[MeshArrays | PointArrays]:
+        """Return the scans of one of the ``groups`` in the frame of its first, in order.
+
+        Raises:
+            ValueError: There is no such group.
+        """
+        check.integer(group, "group", minimum=0, maximum=len(self.groups) - 1)
+        return [transformed(self.scans[index], self.poses[index]) for index in self.groups[group]]
+
     def merged(self, voxel: float | None = None, *, group: int = 0, kind: GeometryKind | None = None) -> Any:
         """Return all points of a group in one frame, as an Open3D point cloud.
 
@@ -123,9 +132,8 @@ class ScanRegistrationResult:
         Raises:
             ValueError: There is no such group, or ``voxel`` is not positive.
         """
-        check.integer(group, "group", minimum=0, maximum=len(self.groups) - 1)
         kind = chosen_kind(kind, self.kind)
-        clouds = [_points_of(transformed(self.scans[index], self.poses[index])) for index in self.groups[group]]
+        clouds = [_points_of(scan) for scan in self.in_one_frame(group)]
         normals = [cloud.normals for cloud in clouds if cloud.normals is not None]
         colors = [cloud.colors for cloud in clouds if cloud.colors is not None]
         cloud = PointArrays(

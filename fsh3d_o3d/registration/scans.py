@@ -19,6 +19,7 @@ from fsh3d_o3d.registration.scan_graph import Group, grouped, optimised, stronge
 from fsh3d_o3d.registration.scan_input import Frames, Scan, scan_of, viewpoints_of
 from fsh3d_o3d.registration.scan_loops import PairPose, believed
 from fsh3d_o3d.registration.scan_pairs import chosen_pairs, joined, pair_poses
+from fsh3d_o3d.registration.scan_places import Places
 from fsh3d_o3d.registration.scan_result import DropReason, ScanPair, ScanRegistrationResult
 from fsh3d_o3d.sphere import single_threaded_blas
 
@@ -63,8 +64,8 @@ def register_scans(
     over the loops (``docs/scans.md``). All scans are in the same units. Equal input gives equal bytes.
 
     Args:
-        clouds: Open3D ``PointCloud`` or ``TriangleMesh``, legacy or tensor, ``PointArrays`` or ``MeshArrays``, in any
-            mix. Points that are NaN, as in organised clouds, are left out and counted.
+        clouds: Point clouds or meshes, as ``from_any`` takes them, in any mix. Points that are NaN, as in organised
+            clouds, are left out and counted.
         option: ``ScanRegistrationOption()`` if not given.
         viewpoints: Where the camera stood for each scan, in that scan's frame: (n, 3), or (3,) if it is the same for
             all, as (0, 0, 0) often is. Poses in which one scan stands before what another's camera saw are then
@@ -81,11 +82,14 @@ def register_scans(
 
     Example:
         >>> points = np.asarray(fsh.read_geometry("samples/bennu_cloud.ply").points)
-        >>> upper = fsh.PointArrays(points[points[:, 2] > -0.3])
-        >>> lower = fsh.PointArrays(points[points[:, 2] < 0.5] @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-        >>> result = fsh.register_scans([upper, lower])
-        >>> result
-        >>> result.poses[1].round(1)
+        >>> quarter_turn = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+        >>> result = fsh.register_scans([points[points[:, 2] > -0.3], points[points[:, 2] < 0.5] @ quarter_turn])
+        >>> result.unplaced
+        ()
+        >>> bool(np.abs(result.poses[1][:3, :3] - quarter_turn).max() < 0.01)
+        True
+        >>> len(result.merged().points) > len(points)
+        True
     """
     if option is None:
         option = ScanRegistrationOption()
@@ -109,12 +113,13 @@ def _registered(
     eyes = [None if eye is None else (eye - scan.center) / unit for scan, eye in zip(scans, viewpoints, strict=True)]
     samples = [ScanSamples.of(shape, eye) for shape, eye in zip(shapes, eyes, strict=True)]
     aligned = [shape if isinstance(shape, MeshArrays) else evenly_thinned(shape, _ALIGNED_POINTS) for shape in shapes]
+    places = [Places.of(one) for one in samples]
     chosen = chosen_pairs(aligned, option.all_pairs_up_to, option.neighbours)
     shown = progress and sys.stderr.isatty()
     with tqdm(total=len(chosen), unit="pair", leave=False, disable=not shown, desc="aligning") as bar:
         found: list[PairPose] = []
         for target, source in chosen:
-            found += pair_poses(aligned, samples, source, target)
+            found += pair_poses(aligned, samples, places, source, target)
             bar.update()
         belief = believed(found)[0]
         bar.set_description_str("joining")

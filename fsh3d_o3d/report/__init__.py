@@ -5,6 +5,7 @@ from __future__ import annotations
 from fsh3d_o3d.report.alignment import alignment_picture
 from fsh3d_o3d.report.library_thumbnail import library_thumbnail
 from fsh3d_o3d.report.page import reconstruction_picture, write_reconstruction_page
+from fsh3d_o3d.report.scans import scans_picture
 from fsh3d_o3d.report.search_page import SearchResult, write_search_page
 from fsh3d_o3d.report.thumbnail import encode_png, error_colors, render_thumbnail, side_by_side
 
@@ -16,6 +17,7 @@ __all__ = [
     "library_thumbnail",
     "reconstruction_picture",
     "render_thumbnail",
+    "scans_picture",
     "side_by_side",
     "write_reconstruction_page",
     "write_search_page",
