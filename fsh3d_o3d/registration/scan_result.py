@@ -78,6 +78,8 @@ class ScanRegistrationResult:
         array([ True,  True])
         >>> bool(np.abs(result.poses[1][:3, 3] - [-5, 0, 0]).max() < 0.05)
         True
+        >>> len(result.in_one_frame())
+        2
     """
 
     poses: Float64Array
