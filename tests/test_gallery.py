@@ -28,6 +28,11 @@ def check_starfish(printed):
     assert errors[-1] < 0.1
 
 
+def check_matches(printed):
+    shares = {line.split(":")[0]: float(line.split(": ")[1].split(" %")[0]) for line in printed.splitlines()[:2]}
+    assert shares["local harmonics"] > shares["FPFH"] + 10
+
+
 def check_hits(printed):
     assert all(f"{query} aligned: {twin} " in " ".join(printed.split()) for query, twin in TWINS.items())
 
@@ -56,6 +61,7 @@ TWINS = {
 SCRIPTS = {
     "canonical_pose.py": check_poses,
     "colours_on_a_starfish.py": check_starfish,
+    "features_of_points.py": check_matches,
     "find_similar.py": check_hits,
     "inspect_scan.py": check_alignment,
     "smooth_without_shrinking.py": check_smoothing,
