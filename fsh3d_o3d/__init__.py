@@ -28,6 +28,7 @@ from fsh3d_o3d.errors import (
     MemoryEstimateError,
     NotStarShapedError,
     QuadratureWarning,
+    ReconstructionWarning,
 )
 from fsh3d_o3d.evaluation import (
     Classification,
@@ -65,6 +66,7 @@ from fsh3d_o3d.index import (
 )
 from fsh3d_o3d.jobs import FailedInput, clear_descriptor_cache, map_files
 from fsh3d_o3d.radial import StarReport, star_center
+from fsh3d_o3d.reconstruction import Reconstruction, Trial, reconstruct
 from fsh3d_o3d.registration import (
     ScanPair,
     ScanRegistrationOption,
@@ -181,6 +183,10 @@ __all__ = [
     "ShellVolume",
     "canonical_rotation",
     "load_shape",
+    # the right method
+    "Reconstruction",
+    "Trial",
+    "reconstruct",
     # descriptors
     "CPSHDOption",
     "LocalSHDOption",
@@ -253,4 +259,5 @@ __all__ = [
     "MemoryEstimateError",
     "NotStarShapedError",
     "QuadratureWarning",
+    "ReconstructionWarning",
 ]

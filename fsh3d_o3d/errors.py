@@ -15,6 +15,7 @@ __all__ = [
     "MemoryEstimateError",
     "NotStarShapedError",
     "QuadratureWarning",
+    "ReconstructionWarning",
 ]
 
 
@@ -48,3 +49,7 @@ class ConvergenceWarning(UserWarning):
 
 class QuadratureWarning(UserWarning):
     """Quadrature weights that miss the conditions of Eq. (8) by more than the tolerance."""
+
+
+class ReconstructionWarning(UserWarning):
+    """A surface that came back with a large error or other parts and handles; says what would help."""

@@ -26,6 +26,7 @@ FLOORS = [
     "closing",
     "radial",
     "shapes",
+    "reconstruction",
     "descriptors",
     "registration",
     "torch",

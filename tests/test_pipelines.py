@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 from tests.scripts import run_script
@@ -50,6 +51,25 @@ def test_sphere_map(tmp_path):
     # A conformal map shears nothing and starves the fingers; a balanced one is the other way round.
     assert float(conformal[1]) < 1.5 < float(balanced[1])
     assert float(balanced[4]) < 0.2 * float(conformal[4])
+
+
+def test_reconstruct_library(tmp_path):
+    models, table = tmp_path / "models", tmp_path / "out" / "table.csv"
+    models.mkdir()
+    for name in ("gem.stl", "horn.off"):
+        shutil.copy(PIPELINES.parent / "samples" / name, models)
+    arguments = (models, "--output", table, "--bandwidth", "16")
+    done = run_script(PIPELINES / "reconstruct_library.py", *arguments)
+    assert done.returncode == 0, done.stderr
+    assert "2 of 2 models reconstructed, 2 closed" in done.stdout
+    assert "| radial | 1 |" in done.stdout
+    rows = table.read_text()
+    (models / "broken.off").write_text("OFF\n3 1 0\n0 0 0\n")
+    again = run_script(PIPELINES / "reconstruct_library.py", *arguments)
+    assert again.returncode == 1
+    assert "2 of 3 models" in again.stdout
+    assert "not reconstructed: broken.off" in again.stdout
+    assert table.read_text().startswith(rows)  # what was done is not done again
 
 
 def test_every_script_is_tested_here():

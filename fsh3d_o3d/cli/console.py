@@ -55,6 +55,10 @@ class Progress:
         self._started = True
         self._bar.set_description_str(printable(name))
 
+    def rename(self, name: str) -> None:
+        """The step that is going on is better called so."""
+        self._bar.set_description_str(printable(name))
+
     def close(self) -> None:
         """The last step is done, or the job has failed."""
         self._bar.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence
@@ -15,7 +16,8 @@ from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.files import read_geometry_file
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, measure_mesh, weld
 from fsh3d_o3d.index import ShapeIndex, is_folder
-from fsh3d_o3d.radial import ACCEPTED_DIRECTIONS, HIDDEN_AREA, StarReport, cloud_center, fit_radial_cloud, star_center
+from fsh3d_o3d.radial import cloud_center, fit_radial_cloud, star_center
+from fsh3d_o3d.reconstruction import choose
 from fsh3d_o3d.sphere_map import mapping_obstacles
 
 _COARSE_BANDWIDTH = 8  # of a fit that only tells how many points lie on one radius; quick, a choice
@@ -97,20 +99,15 @@ def _describe_cloud(cloud: PointArrays) -> dict[str, Any]:
         "colors": cloud.colors is not None,
         "diagonal": cloud.diagonal,
     }
-    try:
+    with contextlib.suppress(GeometryError):  # not all around, or too few for it: the recommendation says so
         fit = fit_radial_cloud(cloud, _COARSE_BANDWIDTH, cloud_center(cloud))
-    except GeometryError as error:
-        return {**facts, "method": None, "reason": str(error)}
-    return {
-        **facts,
-        "center": fit.center.tolist(),
-        "largest_hole_degrees": fit.empty_cap,
-        "inliers": fit.inliers,
-        "spread": fit.scale,
-        "method": "radial",
-        "reason": f"a robust fit of degree {_COARSE_BANDWIDTH - 1} about the center keeps {100 * fit.inliers:.3g} % of "
-        f"the points, with a spread of {100 * fit.scale / cloud.diagonal:.2g} % of the diagonal",
-    }
+        facts |= {
+            "center": fit.center.tolist(),
+            "largest_hole_degrees": fit.empty_cap,
+            "inliers": fit.inliers,
+            "spread": fit.scale,
+        }
+    return facts | _recommended(cloud)
 
 
 def _describe_mesh(mesh: MeshArrays) -> dict[str, Any]:
@@ -134,8 +131,6 @@ def _describe_mesh(mesh: MeshArrays) -> dict[str, Any]:
     if measures.area == 0:
         raise GeometryError("the mesh has no area: all its triangles are degenerate")
     star = star_center(welded, "best")
-    obstacles = mapping_obstacles(mesh)
-    method, reason = _fitting_method(star, obstacles)
     return {
         **facts,
         "center": star.center.tolist(),
@@ -143,23 +138,20 @@ def _describe_mesh(mesh: MeshArrays) -> dict[str, Any]:
         "visible_area": star.visible_area,
         "directions_missed": star.missed,
         "directions_multiple": star.multiple,
-        "maps_to_the_sphere": not obstacles,
-        "method": method,
-        "reason": reason,
+        "maps_to_the_sphere": not mapping_obstacles(mesh),
+        **_recommended(mesh),
     }
 
 
-def _fitting_method(star: StarReport, obstacles: tuple[str, ...]) -> tuple[str, str]:
-    if star.exact:
-        return "radial", "star-shaped: the center sees the whole surface"
-    if max(star.missed, star.multiple) <= ACCEPTED_DIRECTIONS and 1 - star.visible_area <= HIDDEN_AREA:
-        return "radial", "nearly star-shaped: all but a small part of the surface is seen from the center"
-    if not obstacles:
-        return "conformal", "closed, of genus 0, and no center sees the whole surface: it maps to the sphere"
-    return "shells", (
-        f"not star-shaped, and for the conformal method the mesh {'; '.join(obstacles)}: shells take any topology, "
-        "and --repair makes a closed surface of genus 0"
-    )
+def _recommended(geometry: MeshArrays | PointArrays) -> dict[str, Any]:
+    """The method that ``fsh3d reconstruct`` takes, found as it does, and why; none where no surface comes back."""
+    try:
+        found = choose(geometry)
+    except GeometryError as error:
+        return {"method": None, "reason": str(error)}
+    relative = found.error.relative()
+    remarks = {"remarks": [*found.notes, *found.warnings]} if found.notes or found.warnings else {}
+    return {"rmse": relative.rmse, "max": relative.maximum, **remarks, "method": found.method, "reason": found.reason}
 
 
 def _shown(value: Any) -> str:
@@ -169,6 +161,8 @@ def _shown(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.6g}"
+    if isinstance(value, list) and value and isinstance(value[0], str):
+        return "; ".join(value)
     if isinstance(value, list):
         return "(" + ", ".join(f"{v:.6g}" for v in value) + ")"
     return str(value)

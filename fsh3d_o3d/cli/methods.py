@@ -9,8 +9,8 @@ from typing import Any
 
 from fsh3d_o3d import _validation as check
 from fsh3d_o3d.cli.console import point_or_name, say
-from fsh3d_o3d.closing import prepare_closed
-from fsh3d_o3d.geometry import MeshArrays, PointArrays, repair_mesh
+from fsh3d_o3d.closing import Parts, prepare_closed
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, largest_component, repair_mesh, weld
 from fsh3d_o3d.radial import Behaviour
 from fsh3d_o3d.shapes import ConformalShape, RadialShape, Shape, ShellShape
 from fsh3d_o3d.sphere_map import ConformalMapOption, conformal_map
@@ -32,16 +32,17 @@ def add_method_options(parser: argparse.ArgumentParser) -> None:
     """--method and the options that go with some of them."""
     parser.add_argument(
         "--method",
-        choices=list(_METHODS),
-        default="radial",
-        help="radial: distance from a center, for star-shaped surfaces (default); shells: a field on concentric "
-        "spheres, for any topology; conformal: position over a map onto the sphere, for closed surfaces of genus 0",
+        choices=["auto", *_METHODS],
+        default="auto",
+        help="auto: what leaves least error, tried, with repair or closing where needed (default); radial: distance "
+        "from a center, for star-shaped surfaces; shells: a field on concentric spheres, for any topology; conformal: "
+        "position over a map onto the sphere, for closed surfaces of genus 0",
     )
     parser.add_argument(
         "--bandwidth",
         type=int,
         metavar="B",
-        help="degrees 0 … B-1, B² numbers a function (radial and conformal 64, shells 32)",
+        help="degrees 0 … B-1, B² numbers a function (radial and conformal 64, shells 32; auto: shells half of it)",
     )
     parser.add_argument(
         "--center",
@@ -72,7 +73,13 @@ def add_method_options(parser: argparse.ArgumentParser) -> None:
         "--repair",
         action="store_true",
         help="first weld, clean, close and orient the mesh, for conformal also make it one piece of genus 0, and say "
-        "what changed",
+        "what changed (auto repairs where that helps)",
+    )
+    parser.add_argument(
+        "--parts",
+        choices=["all", "largest"],
+        help="auto, or with --repair: keep all pieces of the mesh (default), or the largest, such as a scan without "
+        "the specks around it",
     )
 
 
@@ -84,10 +91,14 @@ def checked_bandwidth(options: argparse.Namespace) -> int:
         "--shells": (options.shells is not None, ("shells",)),
         "--area-weight": (options.area_weight is not None, ("conformal",)),
         "--levels": (bool(options.levels), ("conformal",)),
+        "--repair": (options.repair, tuple(_METHODS)),
+        "--resolution": (options.resolution is not None, tuple(_METHODS)),
     }
     for name, (given, methods) in belongs.items():
         if given and options.method not in methods:
             raise ValueError(f"{name} goes with --method {' or '.join(methods)}")
+    if options.parts and not options.repair and options.method != "auto":
+        raise ValueError("--parts goes with --method auto or with --repair")
     if options.method == "shells" and isinstance(options.center, str):
         raise ValueError(f"--center must be X,Y,Z with --method shells, got {options.center!r}")
     default = 32 if options.method == "shells" else 64
@@ -106,9 +117,13 @@ def repaired(geometry: MeshArrays | PointArrays, options: argparse.Namespace) ->
     """Return the mesh repaired as the method needs it and figures about that; say on standard error what changed."""
     if isinstance(geometry, PointArrays):
         raise ValueError("--repair takes a mesh, not a point cloud")
+    parts: Parts = options.parts or "all"
     if options.method == "conformal":
-        return _closed(geometry)
-    repair = repair_mesh(geometry)
+        return _closed(geometry, parts)
+    kept, others = largest_component(weld(geometry)) if parts == "largest" else (geometry, 0)
+    if others:
+        say(f"kept the largest of {others + 1} components", error=True)
+    repair = repair_mesh(kept)
     before, after = repair.before, repair.after
     say(
         f"repaired: {len(geometry.triangles)} to {len(repair.mesh.triangles)} triangles, "
@@ -119,8 +134,8 @@ def repaired(geometry: MeshArrays | PointArrays, options: argparse.Namespace) ->
     return repair.mesh, {}
 
 
-def _closed(mesh: MeshArrays) -> tuple[MeshArrays, dict[str, Any]]:
-    closing = prepare_closed(mesh)
+def _closed(mesh: MeshArrays, parts: Parts) -> tuple[MeshArrays, dict[str, Any]]:
+    closing = prepare_closed(mesh, parts=parts)
     rms, farthest = max(closing.rms, closing.rms_back), max(closing.hausdorff, closing.hausdorff_back)
     if not closing.changed:
         say("repaired: there was nothing to change", error=True)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fsh3d_o3d._atomic import atomic_write_bytes
+from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.cli.console import Progress, add_output_options, print_json, say
 from fsh3d_o3d.cli.methods import Encoded, add_method_options, checked_bandwidth, encoded, repaired
 from fsh3d_o3d.cli.targets import checked_targets, level_path
@@ -23,6 +25,7 @@ from fsh3d_o3d.geometry import (
     surface_error,
     vertex_distances,
 )
+from fsh3d_o3d.reconstruction import choose, redecoded
 from fsh3d_o3d.shapes import ConformalShape, Shape
 from fsh3d_o3d.sphere import degree_energies, heat_filter
 
@@ -57,6 +60,8 @@ def add_parser(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Carry out the command."""
     b = checked_bandwidth(options)
+    if options.smooth is not None:
+        heat_filter(b, options.smooth)  # refused before the work
     targets = checked_targets(
         {
             "output": (options.output, WRITABLE_MESH_FORMATS),
@@ -72,32 +77,90 @@ def run(options: argparse.Namespace) -> int:
         original = read_geometry_arrays(options.input)
         source, changes = repaired(original, options) if options.repair else (original, {})
         progress.step("sampling, transforming")
-        started = time.perf_counter()
-        result = encoded(source, b, options)
-        shape: Shape = result.shape
-        if options.smooth is not None:
-            shape = shape.filtered(heat_filter(b, options.smooth))
-        progress.step("decoding")
-        mesh, normals = shape.mesh_arrays(options.resolution)
-        seconds = time.perf_counter() - started
-        progress.step("measuring the error")
-        error = surface_error(original, mesh)
+        if options.method == "auto":
+            done = _chosen(original, options, progress)
+        else:
+            done = _as_told(source, original, b, options, progress)
+        shape, mesh = done.result.shape, done.mesh
         progress.step("writing")
-        write_geometry(options.output, open3d_mesh(mesh, normals=normals))
+        write_geometry(options.output, open3d_mesh(mesh, normals=done.normals))
         if isinstance(shape, ConformalShape):
             for bandwidth, level in shape.level_of_detail(options.levels).items():
                 write_geometry(level_path(options.output, bandwidth), level)
         if options.save:
             shape.save(options.save)
         progress.step("drawing")
-        figures = {**_figures(shape, mesh, error), **result.figures, **changes}
+        figures = {**_figures(shape, mesh, done.error), **done.result.figures, **changes}
         if options.picture or options.report:
-            _draw(options, original, mesh, Encoded(shape, figures, result.options))
+            _draw(options, original, done, figures)
     if options.json:
-        print_json({"method": options.method, "bandwidth": b, **figures})
+        print_json({"method": done.method, "bandwidth": shape.bandwidth, **figures})
     else:
-        say(*_summary(options, original, shape, error, seconds, targets))
+        say(*_summary(options, original, done, targets))
     return 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Done:
+    """A surface that came back, and how."""
+
+    result: Encoded
+    method: str
+    mesh: MeshArrays
+    normals: Float64Array
+    error: SurfaceError
+    seconds: float
+    said: tuple[str, ...] = ()
+
+
+def _as_told(
+    source: MeshArrays | PointArrays,
+    original: MeshArrays | PointArrays,
+    b: int,
+    options: argparse.Namespace,
+    progress: Progress,
+) -> _Done:
+    """Carry out the method that was asked for."""
+    started = time.perf_counter()
+    result = encoded(source, b, options)
+    shape = _smoothed(result.shape, options)
+    progress.step("decoding")
+    mesh, normals = shape.mesh_arrays(options.resolution)
+    seconds = time.perf_counter() - started
+    progress.step("measuring the error")
+    error = surface_error(original, mesh)
+    return _Done(Encoded(shape, result.figures, result.options), options.method, mesh, normals, error, seconds)
+
+
+def _chosen(original: MeshArrays | PointArrays, options: argparse.Namespace, progress: Progress) -> _Done:
+    """Try which method leaves least error."""
+    found = choose(
+        original,
+        bandwidth=options.bandwidth,
+        parts=options.parts or "all",
+        threads=options.threads,
+        told=lambda way: progress.rename(f"trying {way}"),
+    )
+    progress.step("decoding")
+    if options.smooth is not None:
+        found = redecoded(found, original, _smoothed(found.shape, options))
+    progress.step("measuring the error")
+    for text in found.warnings:
+        say(f"fsh3d: warning: {text}", error=True)
+    mesh, normals = found.surface()
+    figures = {
+        "way": found.way,
+        "reason": found.reason,
+        "notes": list(found.notes),
+        "warnings": list(found.warnings),
+        "unseen": 0.0 if found.unseen is None else float(found.unseen.mean()),
+    }
+    said = (f"  {found.way}: {found.reason}", *(f"  {note}" for note in found.notes))
+    return _Done(Encoded(found.shape, figures), found.method, mesh, normals, found.error, found.seconds, said)
+
+
+def _smoothed(shape: Shape, options: argparse.Namespace) -> Shape:
+    return shape if options.smooth is None else shape.filtered(heat_filter(shape.bandwidth, options.smooth))
 
 
 def _figures(shape: Shape, mesh: MeshArrays, error: SurfaceError) -> dict[str, Any]:
@@ -120,11 +183,10 @@ def _figures(shape: Shape, mesh: MeshArrays, error: SurfaceError) -> dict[str, A
 def _summary(
     options: argparse.Namespace,
     original: MeshArrays | PointArrays,
-    shape: Shape,
-    error: SurfaceError,
-    seconds: float,
+    done: _Done,
     targets: list[str],
 ) -> list[str]:
+    error = done.error
     source = (
         f"{len(original.triangles)} triangles" if isinstance(original, MeshArrays) else f"{len(original.points)} points"
     )
@@ -133,7 +195,9 @@ def _summary(
     if isinstance(original, PointArrays):
         volume = " (all points to the surface, outliers included)"
     return [
-        f"{options.input}: {source}, {options.method}, {shape.coefficients.size} coefficients in {seconds:.2f} s",
+        f"{options.input}: {source}, {done.method}, {done.result.shape.coefficients.size} coefficients in "
+        f"{done.seconds:.2f} s",
+        *done.said,
         f"  error in % of the diagonal {error.diagonal:.6g}: RMSE {100 * relative.rmse:.3g}, "
         f"MAE {100 * relative.mae:.3g}, maximum {100 * relative.maximum:.3g}{volume}",
         *(f"  wrote {target}" for target in targets),
@@ -143,12 +207,14 @@ def _summary(
 def _draw(
     options: argparse.Namespace,
     original: MeshArrays | PointArrays,
-    mesh: MeshArrays,
-    result: Encoded,
+    done: _Done,
+    figures: dict[str, Any],
 ) -> None:
     # Imported here: plotting libraries take time that other runs need not spend.
     from fsh3d_o3d.report import encode_png, reconstruction_picture, write_reconstruction_page
 
+    shape, mesh = done.result.shape, done.mesh
+    shown = {name: figure for name, figure in figures.items() if not isinstance(figure, list)}
     distances = vertex_distances(mesh, original)
     if options.picture:
         atomic_write_bytes(options.picture, encode_png(reconstruction_picture(original, mesh, distances)))
@@ -159,15 +225,15 @@ def _draw(
             original=original,
             reconstruction=mesh,
             errors=distances,
-            energies=_energies(result.shape),
+            energies=_energies(shape),
             figures={
-                "method": options.method,
-                "bandwidth": result.shape.bandwidth,
-                **result.figures,
-                "center": "({:.6g}, {:.6g}, {:.6g})".format(*result.shape.center),
+                "method": done.method,
+                "bandwidth": shape.bandwidth,
+                **shown,
+                "center": "({:.6g}, {:.6g}, {:.6g})".format(*shape.center),
             },
             options={
-                **result.options,
+                **done.result.options,
                 "smoothing": "none" if options.smooth is None else f"heat kernel, t = {options.smooth:g}",
             },
         )

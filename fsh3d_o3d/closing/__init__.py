@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from fsh3d_o3d.closing.prepare_closed import Closing, prepare_closed
+from fsh3d_o3d.closing.prepare_closed import Closing, Parts, prepare_closed
 
 __all__ = [
     "Closing",
+    "Parts",
     "prepare_closed",
 ]

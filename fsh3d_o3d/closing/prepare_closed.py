@@ -28,6 +28,7 @@ from fsh3d_o3d.geometry import (
     chosen_kind,
     component_areas,
     geometry_arrays,
+    largest_component,
     measure_mesh,
     open3d_mesh,
     oriented,
@@ -37,10 +38,12 @@ from fsh3d_o3d.geometry import (
     with_values_of,
 )
 
-__all__ = ["Closing", "ClosingMethod", "prepare_closed"]
+__all__ = ["Closing", "ClosingMethod", "Parts", "prepare_closed"]
 
 ClosingMethod = Literal["as given", "repaired", "carved"]
 """How a closed surface was made."""
+Parts = Literal["all", "largest"]
+"""Which components of a mesh are wanted."""
 
 _SAMPLES = (
     20_000  # points of either surface that distances are taken at, a choice: their RMS is good to about a percent
@@ -92,7 +95,7 @@ class Closing:
         return open3d_mesh(self.mesh, chosen_kind(kind, self.kind))
 
 
-def prepare_closed(mesh: Any, *, cells_per_side: int = 64, repair: bool = True) -> Closing:
+def prepare_closed(mesh: Any, *, cells_per_side: int = 64, repair: bool = True, parts: Parts = "all") -> Closing:
     """Return a closed genus-0 surface for a mesh, changing as little as possible.
 
     What is closed, manifold, of one component and genus 0 once equal vertices are merged is returned so. What is nearly
@@ -107,9 +110,13 @@ def prepare_closed(mesh: Any, *, cells_per_side: int = 64, repair: bool = True) 
         cells_per_side: Cells along the longest side of the bounding box where the mesh is carved, 8 … 1024. What is
             thinner than a cell keeps its place but not its thickness; gaps narrower than a cell may close.
         repair: Whether to try a repair before carving.
+        parts: ``"all"``: every component, joined by threads, but for debris of a thousandth of the area;
+            ``"largest"``: the component of the most area, such as a scan without the specks around it. Distances are
+            measured from the whole original in both cases.
 
     Raises:
         TypeError: Not a mesh.
+        ValueError: Another argument is out of range.
         GeometryError: Empty, not finite, or without area.
         MemoryEstimateError: The grid is too large for the memory at hand.
 
@@ -122,6 +129,7 @@ def prepare_closed(mesh: Any, *, cells_per_side: int = 64, repair: bool = True) 
         TriangleMesh with 1002 points and 2000 triangles.
     """
     cells = check.integer(cells_per_side, "cells_per_side", minimum=8, maximum=1024)
+    check.choice(parts, "parts", ("all", "largest"))
     given, kind = geometry_arrays(mesh)
     if isinstance(given, PointArrays):
         raise TypeError("a closed surface needs a mesh, got a point cloud; reconstruct a surface from it first")
@@ -141,11 +149,15 @@ def prepare_closed(mesh: Any, *, cells_per_side: int = 64, repair: bool = True) 
         if turned is not welded:
             changed += ("turned triangles to face outward",)
         return Closing(turned if changed else given, "as given", (), changed, *6 * (0.0,), None, kind)
-    source, notes = _repaired(unit, measures) if repair else (unit, ())
+    main, others = largest_component(unit) if parts == "largest" else (unit, 0)
+    before = measure_mesh(main) if others else measures
+    if others:
+        changed += (f"kept the largest of {others + 1} components",)
+    source, notes = _repaired(main, before) if repair else (main, ())
     changed += notes
     method: ClosingMethod = "repaired"
     closed, outer = source, None
-    after = measures if source is unit else measure_mesh(source)
+    after = before if source is main else measure_mesh(source)
     points = area_samples(unit, _SAMPLES)[0]
     if _problems(after) or not after.outward:
         closed, outer, notes = _carved(source, cells, points)
@@ -225,12 +237,8 @@ def _repaired(mesh: MeshArrays, measures: MeshMeasures) -> tuple[MeshArrays, tup
 
 def _without_debris(mesh: MeshArrays) -> tuple[MeshArrays, int]:
     """The largest component and the number of others, or the whole where the others are more than debris."""
-    part, area = component_areas(mesh)
-    share = area / area.sum()
-    largest = int(share.argmax())
-    if share[largest] < 1 - _DEBRIS:
-        return mesh, 0
-    return weld(MeshArrays(mesh.vertices, mesh.triangles[part == largest])), len(area) - 1
+    area = component_areas(mesh)[1]
+    return (mesh, 0) if area.max() < (1 - _DEBRIS) * area.sum() else largest_component(mesh)
 
 
 def _carved(mesh: MeshArrays, cells: int, points: Float64Array) -> tuple[MeshArrays, BoolArray, tuple[str, ...]]:

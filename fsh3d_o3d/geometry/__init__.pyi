@@ -16,6 +16,7 @@ from .measures import MeshMeasures as MeshMeasures
 from .measures import area_samples as area_samples
 from .measures import component_areas as component_areas
 from .measures import enclosed_volume as enclosed_volume
+from .measures import largest_component as largest_component
 from .measures import measure_mesh as measure_mesh
 from .measures import oriented as oriented
 from .measures import weld as weld

@@ -134,6 +134,15 @@ def component_areas(mesh: MeshArrays) -> tuple[IntArray, Float64Array]:
     return part, area.astype(np.float64, copy=False)
 
 
+def largest_component(mesh: MeshArrays) -> tuple[MeshArrays, int]:
+    """Return the component of the most area, the mesh itself where it is all, and how many others there are."""
+    part, area = component_areas(mesh)
+    others = int(np.count_nonzero(np.bincount(part, minlength=len(area)))) - 1
+    if others == 0:
+        return mesh, 0
+    return MeshArrays(mesh.vertices, mesh.triangles[part == int(area.argmax())]).compact()[0], others
+
+
 def oriented(mesh: MeshArrays) -> MeshArrays | None:
     """Return the mesh with neighbouring triangles wound alike and outward, or None where it cannot be oriented.
 

@@ -16,11 +16,12 @@ from fsh3d_o3d.radial.cloud_center import cloud_center
 from fsh3d_o3d.radial.scattered_fit import fit_scattered
 from fsh3d_o3d.sphere import evaluate, fibonacci_grid
 
-__all__ = ["CloudFit", "cloud_center", "fit_radial_cloud"]
+__all__ = ["CloudFit", "cloud_center", "fit_radial_cloud", "usable_bandwidth"]
 
 
 _FARTHEST = 1e3  # medians; radii beyond are outliers, however far, and are cut to it so that squares do not overflow
 _FIRST_LOOK = 50_000  # points, a degree apart on a sphere: far below the holes that are to be found
+_USUAL = 64  # bandwidth beyond which nobody asks how much more there could be; a choice
 _NEAREST = 1e-9  # of the median; of smaller radii float64 keeps less than seven digits of the direction
 
 
@@ -141,9 +142,20 @@ def _polar(points: Float64Array, center: Float64Array) -> tuple[Float64Array, Fl
     return relative / length[:, None], np.minimum(radii / unit, _FARTHEST), 4 * unit * typical
 
 
+def usable_bandwidth(cloud: PointArrays, center: Float64Array) -> int:
+    """Return the largest bandwidth, 0 … 64, that a cloud has points enough for, seen from a centre (3,)."""
+    directions = _polar(cloud.points, center)[0]
+    return min(_USUAL, isqrt(min(len(directions), 2 * _distinct(directions, _USUAL)) // 2))
+
+
+def _distinct(directions: Float64Array, b: int) -> int:
+    """In how many cells directions lie that are finer than a bandwidth tells apart."""
+    return len(AngularCells.of(directions, 16.0 * max(b * b, 12)).count)
+
+
 def _check_number(directions: Float64Array, b: int) -> None:
     """Refuse points in too few different directions; copies of a point say nothing new."""
-    distinct = len(AngularCells.of(directions, 16.0 * max(b * b, 12)).count)
+    distinct = _distinct(directions, b)
     usable = min(len(directions), 2 * distinct)  # two may share a cell
     if usable < 2 * b * b:
         largest = isqrt(usable // 2)
@@ -163,8 +175,9 @@ def _check_coverage(directions: Float64Array, max_hole: float, what: str) -> tup
     if cap > max_hole:
         raise CoverageError(
             f"the cloud covers too little of the sphere: a cap of {cap:.1f} degrees about the direction "
-            f"{_text(direction)} has no {what}, and caps up to {max_hole:g} degrees are filled (max_hole); use another "
-            "center, such as cloud_center finds, or raise max_hole"
+            f"{_text(direction)} has no {what}, and caps up to {max_hole:g} degrees are filled; of a scan from one "
+            "side, fsh3d reconstruct without --method (fsh.reconstruct) makes the open surface of what was seen; for a "
+            "whole body give a center inside of it"
         )
     return cap, direction
 

@@ -117,13 +117,13 @@ def sample_radial(
     if refused or not samples.hit.any():
         raise NotStarShapedError(_explanation(mesh, scene, rays, samples, behaviour, fillable))
     if not samples.hit.all():
-        samples.radii[~samples.hit] = _filled(rays, samples.radii / cube.scale, samples.hit) * cube.scale
+        samples.radii[~samples.hit] = filled(rays, samples.radii / cube.scale, samples.hit) * cube.scale
     for array in (samples.radii, samples.hit, samples.several, samples.center):
         array.setflags(write=False)
     return samples
 
 
-def _filled(directions: Float64Array, radii: Float64Array, hit: NDArray[np.bool_]) -> Float64Array:
+def filled(directions: Float64Array, radii: Float64Array, hit: NDArray[np.bool_]) -> Float64Array:
     """Return radii for the directions not hit: each the mean of its nearest directions, hit or filled."""
     missing = np.flatnonzero(~hit)
     known = np.flatnonzero(hit)

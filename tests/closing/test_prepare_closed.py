@@ -50,6 +50,21 @@ def require_closed(closing):
     return measures
 
 
+def test_the_largest_part_is_kept_as_asked():
+    specks = [shapes.sphere(3, 0.1, (2 + k, 0, 0)) for k in range(14)]
+    scan = shapes.joined(shapes.sphere(8), *specks)
+    closing = prepare_closed(scan, parts="largest")
+    assert require_closed(closing).components == 1
+    assert (closing.method, closing.changed) == ("repaired", ("kept the largest of 15 components",))
+    assert closing.mesh.vertices[:, 0].max() < 1.01
+    assert closing.hausdorff > 0.5  # the specks count as lost
+    everything = prepare_closed(scan, cells_per_side=24)
+    assert everything.method == "carved"
+    assert everything.mesh.vertices[:, 0].max() > 14
+    with pytest.raises(ValueError, match="parts must be one of"):
+        prepare_closed(scan, parts="some")
+
+
 def test_what_is_closed_comes_back_as_it_is():
     mesh = shapes.bumpy()
     closing = prepare_closed(mesh)
