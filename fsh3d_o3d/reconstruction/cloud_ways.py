@@ -46,11 +46,8 @@ def cloud_ways(cloud: PointArrays, sizes: Sizes, threads: int | None) -> tuple[t
 
 def _radial(cloud: PointArrays, center: np.ndarray, sizes: Sizes, threads: int | None) -> Made:
     b = min(sizes.surface, usable_bandwidth(cloud, center))
-    fit = fit_radial_cloud(cloud, b, center, threads=threads)
-    notes = _fewer(cloud, b, sizes)
-    if fit.inliers < 1:
-        notes += (f"{100 * (1 - fit.inliers):.2g} % of the points were outliers",)
-    return Made(RadialShape(fit.coefficients, fit.center), "radial", "radial", notes)
+    shape = RadialShape.from_geometry(cloud, b, center, threads=threads)
+    return Made(shape, "radial", "radial", _fewer(cloud, b, sizes))
 
 
 def _one_side(cloud: PointArrays, sizes: Sizes, threads: int | None) -> Made:
@@ -64,16 +61,17 @@ def _fewer(cloud: PointArrays, b: int, sizes: Sizes) -> tuple[str, ...]:
 
 
 def _shells(cloud: PointArrays, sizes: Sizes, threads: int | None) -> Made:
-    kept = cloud.points[thinned(cloud.points, _POISSON_POINTS)]
+    chosen = thinned(cloud.points, _POISSON_POINTS)
+    kept, colors = cloud.points[chosen], None if cloud.colors is None else cloud.colors[chosen]
     notes: tuple[str, ...] = ()
     if cloud.normals is None:
         guessed = open3d_point_cloud(PointArrays(kept))
         neighbors = min(_NEIGHBORS, len(kept) - 1)
         guessed.estimate_normals(open3d().geometry.KDTreeSearchParamKNN(neighbors))
         guessed.orient_normals_consistent_tangent_plane(neighbors)
-        source = PointArrays(kept, np.asarray(guessed.normals))
+        source = PointArrays(kept, np.asarray(guessed.normals), colors)
         notes = ("estimated normals, and turned them alike",)
     else:
-        source = PointArrays(kept, cloud.normals[thinned(cloud.points, _POISSON_POINTS)])
+        source = PointArrays(kept, cloud.normals[chosen], colors)
     shape = ShellShape.from_geometry(source, sizes.shell, sizes.shells, "signed_distance", threads=threads)
     return Made(shape, "shells", "shells, Poisson", notes)

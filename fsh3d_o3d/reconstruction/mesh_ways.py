@@ -10,7 +10,6 @@ from fsh3d_o3d.radial import ACCEPTED_DIRECTIONS, HIDDEN_AREA, StarReport, star_
 from fsh3d_o3d.reconstruction.attempts import Made, Way
 from fsh3d_o3d.reconstruction.sizes import Sizes
 from fsh3d_o3d.shapes import ConformalShape, RadialShape, ShellShape
-from fsh3d_o3d.sphere_map import ConformalMapOption, conformal_map
 
 _ENOUGH_RADIAL = (
     2.5e-3  # RMSE, relative, a choice: a conformal shape, of three times the numbers, may leave a tenth of it
@@ -78,14 +77,12 @@ def _radial(mesh: MeshArrays, star: StarReport, sizes: Sizes, threads: int | Non
 
 
 def _conformal(mesh: MeshArrays, sizes: Sizes, threads: int | None) -> Made:
-    surface = conformal_map(mesh, ConformalMapOption())
-    return Made(ConformalShape.from_map(surface, sizes.surface, threads=threads), "conformal", "conformal")
+    return Made(ConformalShape.from_geometry(mesh, sizes.surface, threads=threads), "conformal", "conformal")
 
 
 def _closed(mesh: MeshArrays, sizes: Sizes, threads: int | None) -> Made:
     closing = prepare_closed(mesh)
-    surface = conformal_map(closing.mesh, ConformalMapOption())
-    shape = ConformalShape.from_map(surface, sizes.surface, threads=threads)
+    shape = ConformalShape.from_geometry(closing.mesh, sizes.surface, threads=threads)
     way = "conformal" if closing.method == "as given" else f"conformal, {closing.method}"
     return Made(shape, "conformal", way, closing.changed)
 

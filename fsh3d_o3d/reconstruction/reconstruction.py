@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -98,8 +99,8 @@ class Reconstruction:
         """
         if self.unseen is None or unseen:
             return self.mesh, self.normals
-        seen = MeshArrays(self.mesh.vertices, self.mesh.triangles[~self.unseen[self.mesh.triangles].any(axis=1)])
-        compact, source = seen.compact()
+        kept = self.mesh.triangles[~self.unseen[self.mesh.triangles].any(axis=1)]
+        compact, source = replace(self.mesh, triangles=kept).compact()
         return compact, self.normals[source]
 
     def to_triangle_mesh(self, *, unseen: bool = False, kind: GeometryKind | None = None) -> Any:
@@ -117,8 +118,9 @@ class Reconstruction:
             True
         """
         mesh, normals = self.surface(unseen=unseen)
-        colors = np.where(self.unseen[:, None], _UNSEEN, _SEEN) if self.unseen is not None and unseen else None
-        return open3d_mesh(mesh, chosen_kind(kind, self.kind), normals=normals, colors=colors)
+        if self.unseen is not None and unseen:
+            mesh = replace(mesh, colors=np.where(self.unseen[:, None], _UNSEEN, _SEEN))
+        return open3d_mesh(mesh, chosen_kind(kind, self.kind), normals=normals)
 
     def summary(self) -> str:
         """Return which method, why, and what it cost, in a line.

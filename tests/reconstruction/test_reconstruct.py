@@ -115,7 +115,7 @@ def test_a_cloud_all_around_is_closed_also_with_outliers(rng):
     points[::50] *= rng.uniform(1.5, 3, (80, 1))
     result = choose(PointArrays(points), bandwidth=12)
     assert (result.way, result.unseen) == ("radial", None)
-    assert any("outliers" in note for note in result.notes)
+    assert "98 % on one radius" in result.reason
     assert not result.warnings
 
 
