@@ -39,6 +39,7 @@ _SNIFFED_BYTES = 4096  # in which other formats are recognised; the longest patt
 _LONGEST_REASON = 400  # characters, a choice: five lines of a terminal
 _LONGEST_MESSAGE = 2000  # characters with the path, a choice
 _TOO_LITTLE_MEMORY = "needs more memory than the reader is allowed"
+_PROLOGUE = rb"\s*(?:<[?!][^>]*>\s*)*"  # what XML may begin with
 # In this order; looked for only where the parser that the extension names has failed.
 _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("PLY", re.compile(rb"ply[ \t]*[\r\n]")),
@@ -52,6 +53,10 @@ _SIGNATURES: tuple[tuple[str, re.Pattern[bytes]], ...] = (
     ("NRRD", re.compile(rb"NRRD000")),
     ("NPY", re.compile(rb"\x93NUMPY")),
     ("FBX", re.compile(rb"Kaydara FBX Binary|; FBX \d")),
+    ("DAE", re.compile(_PROLOGUE + rb"<(?:\w+:)?COLLADA\b")),
+    ("X3D", re.compile(_PROLOGUE + rb"<(?:\w+:)?X3D\b")),
+    ("VTU", re.compile(_PROLOGUE + rb"<VTKFile\s[^>]*UnstructuredGrid")),
+    ("VTP", re.compile(_PROLOGUE + rb"<VTKFile\s[^>]*PolyData")),
     ("VTK", re.compile(rb"# vtk DataFile")),
     ("ZIP", re.compile(rb"PK\x03\x04")),
     ("GZIP", re.compile(rb"\x1f\x8b")),
@@ -77,7 +82,6 @@ _WRITTEN_AS = {
     "LAZ": "LAS",
     "TIF": "TIFF",
     "NHDR": "NRRD",
-    **dict.fromkeys(("VTP", "VTU", "DAE", "X3D"), "XML"),
 }
 """Formats whose files are of another, more general one as well."""
 
