@@ -231,7 +231,7 @@ def _device(bandwidths: tuple[int, ...]) -> Table:
     rows = []
     for b in bandwidths:
         if not torch.cuda.is_available():
-            rows.append(Row({"b": b, "device": "not measured: no GPU"}))
+            rows.append(Row({"b": b, "device": "not measured: no GPU", "error": None, "time": None, "share": None}))
             continue
         ours = ft.SphericalHarmonicTransform(b, device="cuda", dtype=torch.float32)
         coefficients = torch.randn(64, b * b, device="cuda")

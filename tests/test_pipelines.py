@@ -73,7 +73,7 @@ def test_reconstruct_library(tmp_path):
 
 
 def test_every_script_is_tested_here():
-    tests = Path(__file__).parent.glob("test_*.py")
+    tests = Path(__file__).parent.rglob("test_*.py")
     tested = "".join(path.read_text(encoding="utf-8") for path in tests)
     for script in PIPELINES.rglob("[!_]*.py"):
         assert f'"{script.name}"' in tested, f"{script} is run by no test"
