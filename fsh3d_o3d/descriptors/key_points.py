@@ -103,7 +103,7 @@ def _magnitudes(coefficients: Float32Array) -> Float64Array:
     degree, order = np.tril_indices(bandwidth)
     centre = degree * degree + degree
     values = np.hypot(coefficients[:, :, centre + order], coefficients[:, :, centre - order] * (order > 0))
-    values = values.reshape(count, -1).astype(np.float64)
+    values = values.reshape(count, values.shape[1] * values.shape[2]).astype(np.float64)
     return np.asarray(values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), np.finfo(np.float32).tiny))
 
 

@@ -31,8 +31,10 @@ def local_poses(
         source: What is moved.
         target: What stays; of the same radius.
         nearest: Every key point of the source is tried with so many of the target, those of the nearest features.
-        most: Poses that are returned.
+        most: Poses that are returned; none where either side has no key points.
     """
+    if not len(source) or not len(target):
+        return Poses(np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, 3))), np.zeros(0)
     first, second = _matches(source.feature, target.feature, nearest)
     ours, theirs = _whitened(source.coefficients, target.coefficients)
     scores, angles = _correlations(ours, theirs, first, second)

@@ -57,6 +57,8 @@ class Ground:
             probes: (m, 3) of the source, as good as random.
             most: Poses that are returned.
         """
+        if not len(poses):
+            return poses, np.zeros(0), np.zeros(0, dtype=np.int64)
         first, within = _FIRST_LOOK
         places = probes[:_PLACES]
         order = np.argsort(-self.coarse.shares(poses, probes[:first], within * self.spacing), kind="stable")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from fsh3d_o3d.descriptors import local_harmonics
@@ -35,6 +36,23 @@ def test_a_half_finds_its_place_on_the_whole() -> None:
     best = poses.take([int(occupied.shares(poses, half[:200]).argmax())])
     error = np.linalg.norm(best.apply(half)[0] - (half - SHIFT) @ TURN, axis=1)
     assert error.mean() < 0.1
+
+
+@pytest.mark.parametrize(
+    "points",
+    [surface(50), np.linspace(0, 1, 300)[:, None] * [1.0, 2.0, 3.0], surface(3), surface(1000) * [1.0, 1.0, 0.0]],
+    ids=["fifty points", "on a line", "three points", "flat"],
+)
+def test_poor_clouds_give_finite_poses_or_none(points: np.ndarray) -> None:
+    whole = surface(5000)
+    for source, target in ((points, whole), (whole, points), (points, points)):
+        sides = [thinned_surface(side, 0.08) for side in (source, target)]
+        poses, scores = local_poses(*(local_harmonics(side, 0.5, keypoints=100) for side in sides))
+        assert len(poses) == len(scores)
+        assert np.isfinite(poses.rotations).all()
+        found, scores, origin = Ground.of(sides[1].points, sides[1].normals, 0.08).best(poses, sides[0].points[:250])
+        assert len(found) == len(scores) == len(origin) <= 12
+        assert np.isfinite(found.shifts).all()
 
 
 def test_probes_on_the_surface_count() -> None:
