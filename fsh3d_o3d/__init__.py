@@ -77,6 +77,7 @@ from fsh3d_o3d.registration import (
     register_scans,
     registration_spherical,
 )
+from fsh3d_o3d.report import render
 from fsh3d_o3d.shapes import ConformalShape, RadialShape, Shape, ShellShape, ShellVolume, canonical_rotation, load_shape
 from fsh3d_o3d.sphere import (
     CanonicalPose,
@@ -242,6 +243,7 @@ __all__ = [
     "SurfaceError",
     "from_any",
     "map_files",
+    "render",
     "read_geometry",
     "read_geometry_parts",
     "repair_mesh",

@@ -6,7 +6,9 @@ values with equal fields are equal; what is printed of one fits on a line.
 
 from __future__ import annotations
 
+import base64
 import dataclasses
+import html
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar, overload
@@ -150,9 +152,31 @@ def shown(part: Any) -> str:
     return f"{text[: _LONGEST - 1]}…" if isinstance(part, str) else f"{type(part).__name__}(…)"
 
 
+_painters: list[Callable[[Any], bytes | None]] = []
+
+
+def draw_values_with(painter: Callable[[Any], bytes | None]) -> None:
+    """Say what draws a value: it returns a PNG, or None for what has no form. Called by what is loaded above."""
+    _painters[:] = [painter]
+
+
+def _html(self: Any) -> str | None:
+    """A picture and the line, for a notebook; None, which leaves the line alone, for what has no form."""
+    picture = _painters[0](self) if _painters else None
+    if picture is None:
+        return None
+    image = base64.b64encode(picture).decode("ascii")
+    line = html.escape(repr(self))
+    return (
+        '<div style="display:flex;align-items:center;gap:12px">'
+        f'<img alt="" src="data:image/png;base64,{image}"><code>{line}</code></div>'
+    )
+
+
 _SHARED: dict[str, Any] = {
     "__reduce__": _reduce,
     "__eq__": _equal,
     "__hash__": _hash,
     "__repr__": _line,
+    "_repr_html_": _html,
 }

@@ -17,7 +17,7 @@ from typing import NoReturn
 from fsh3d_o3d._imports import only_installed
 from fsh3d_o3d._printable import printable
 from fsh3d_o3d._version import __version__
-from fsh3d_o3d.cli import align, cache, describe, evaluate, index, info, merge, query, reconstruct
+from fsh3d_o3d.cli import align, cache, describe, evaluate, index, info, merge, query, reconstruct, view
 from fsh3d_o3d.cli.console import error_line, say
 from fsh3d_o3d.cli.process import TerminatedError, open_standard_streams, terminable
 from fsh3d_o3d.errors import ConvergenceWarning, GeometryReadWarning, QuadratureWarning
@@ -45,7 +45,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     parser.add_argument("--version", action="version", version=f"fsh3d_o3d {__version__}")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (reconstruct, describe, align, merge, evaluate, index, query, info, cache):
+    for module in (reconstruct, describe, align, merge, evaluate, index, query, info, view, cache):
         module.add_parser(commands)
     try:
         for argument in sys.argv[1:] if arguments is None else arguments:

@@ -101,6 +101,9 @@ class ShapeIndex:
         """What its models are described by."""
         return self._option
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({printable(self.path)!r})"  # not how many models: its folder may be gone
+
     def __len__(self) -> int:
         return self._store.latest().count
 

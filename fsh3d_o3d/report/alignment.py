@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsh3d_o3d._validation import Float64Array
-from fsh3d_o3d.geometry import MeshArrays, PointArrays, area_samples, geometry_arrays
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, area_samples, bare, from_any
 from fsh3d_o3d.report.colors import ORIGINAL_COLOR
 from fsh3d_o3d.report.thumbnail import render_thumbnail, side_by_side
 
@@ -46,8 +46,7 @@ def alignment_picture(source: Any, target: Any, aligned: Any, *, size: int = 360
 
 def _plain(geometry: Any) -> MeshArrays | PointArrays:
     """A geometry without its own colours, which would hide whose it is."""
-    arrays, _ = geometry_arrays(geometry)
-    return arrays if isinstance(arrays, MeshArrays) else PointArrays(arrays.points, arrays.normals)
+    return bare(from_any(geometry))
 
 
 def _overlay(target: MeshArrays | PointArrays, source: MeshArrays | PointArrays) -> PointArrays:

@@ -90,12 +90,12 @@ def shaded_points(shape: Displayed, cloud: PointArrays, color: Any, light: Float
 
 
 def geometry_json(shape: Displayed, colors: Float64Array | None) -> dict[str, Any]:
-    """Return the part of a plotly trace that holds the geometry; ``colors`` (n, 3) in [0, 1] for points."""
+    """Return the part of a plotly trace that holds the geometry; ``colors`` (n, 3) in [0, 1], or None."""
     data: dict[str, Any] = {name: packed(shape.points[:, k], "f4") for k, name in enumerate("xyz")}
     if shape.triangles is not None:
         kind = "u2" if len(shape.points) <= 2**16 else "u4"
         data |= {name: packed(shape.triangles[:, k], kind) for k, name in enumerate("ijk")}
-    elif colors is not None:
+    if colors is not None:
         rounded = np.round(np.clip(colors, 0, 1) * 31) / 31  # few different strings, which compress and parse well
         palette, index = np.unique(rounded, axis=0, return_inverse=True)
         data["palette"] = [css_color(color) for color in palette]

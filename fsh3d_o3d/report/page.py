@@ -75,7 +75,7 @@ def write_reconstruction_page(
     write_page(
         path,
         "reconstruction.html",
-        data=_page_data(first, shapes, relative, top, spectrum, reach),
+        data=_page_data(first, second, shapes, relative, top, spectrum, reach),
         title=title,
         shapes=shapes,
         pictures=[encode_png(image) for image in _pictures(first, second, relative, top, background=None, size=_SIDE)],
@@ -143,6 +143,7 @@ def _pictures(
 
 def _page_data(
     original: MeshArrays | PointArrays,
+    reconstruction: MeshArrays,
     shapes: Mapping[str, Displayed],
     relative: Float64Array,
     top: float,
@@ -153,7 +154,11 @@ def _page_data(
     # A light is placed in the units of the data: above the viewer's left shoulder, far away.
     left = np.cross(TOWARDS_VIEWER, (0.0, 0.0, 1.0))
     light = 1e3 * (0.6 * TOWARDS_VIEWER + 0.7 * left / np.linalg.norm(left) + (0.0, 0.0, 0.7))
-    colors = shaded_points(first, original, ORIGINAL_COLOR, light) if isinstance(original, PointArrays) else None
+    if isinstance(original, PointArrays):
+        colors: Float64Array | None = shaded_points(first, original, ORIGINAL_COLOR, light)
+    else:
+        colors = None if original.colors is None else original.colors[first.source]
+    again = None if reconstruction.colors is None else reconstruction.colors[second.source]
     # The bounding sphere fits the field of view. Plotly measures in sides of the cube that holds both shapes.
     radius = max(float(np.linalg.norm(shape.points, axis=1).max()) for shape in shapes.values())
     common = {"light": xyz(light)}
@@ -163,7 +168,7 @@ def _page_data(
         "eye": camera_eye(radius / (2 * reach)),
         "geometries": {
             "original": geometry_json(first, colors),
-            "reconstruction": geometry_json(second, None),
+            "reconstruction": geometry_json(second, again),
         },
         "views": [
             {"id": "plot-original", "geometry": "original", "color": css_color(ORIGINAL_COLOR), "size": size} | common,

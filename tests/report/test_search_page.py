@@ -12,7 +12,7 @@ import pytest
 from fsh3d_o3d.files.writing import write_geometry
 from fsh3d_o3d.geometry.arrays import MeshArrays
 from fsh3d_o3d.index.shape_index import Hit
-from fsh3d_o3d.report.library_thumbnail import library_thumbnail
+from fsh3d_o3d.report import library_thumbnail
 from fsh3d_o3d.report.search_page import SearchResult, write_search_page
 from tests.report.pages import HOSTILE, read_page, unpack
 from tests.report.shapes import ball, ball_points

@@ -5,19 +5,14 @@
   const ink = () => getComputedStyle(root).getPropertyValue("--ink").trim();
   const line = () => getComputedStyle(root).getPropertyValue("--line").trim();
 
-  const unpack16 = (packed) => {
-    const bytes = Uint8Array.from(atob(packed.bdata), (c) => c.charCodeAt(0));
-    return new Uint16Array(bytes.buffer);
-  };
-
   const trace = (view) => {
     const { palette, color, ...arrays } = data.geometries[view.geometry];
     if (!("i" in arrays)) {
-      const colors = palette ? Array.from(unpack16(color), (k) => palette[k]) : view.color;
+      const colors = palette ? shared.painted(palette, color) : view.color;
       return shared.points(arrays, { size: view.size, color: colors });
     }
     const mesh = { ...shared.mesh(arrays, { ambient: 0.32, diffuse: 0.66 }), color: view.color, lightposition: view.light };
-    if (!view.errors) return mesh;
+    if (!view.errors) return palette ? { ...mesh, vertexcolor: shared.painted(palette, color) } : mesh;
     return { ...mesh, color: undefined, intensity: data.errors.percent, colorscale: data.errors.colorscale,
       cmin: 0, cmax: data.errors.maximum, showscale: false, hoverinfo: undefined,
       hovertemplate: "%{intensity:.3g} %<extra></extra>" };

@@ -16,6 +16,12 @@ const shared = (() => {
     }),
     points: (geometry, marker) => ({ type: "scatter3d", mode: "markers", hoverinfo: "skip", ...geometry, marker }),
 
+    // A colour for each point from a palette and packed indices into it.
+    painted: (palette, packed) => {
+      const bytes = Uint8Array.from(atob(packed.bdata), (c) => c.charCodeAt(0));
+      return Array.from(new Uint16Array(bytes.buffer), (k) => palette[k]);
+    },
+
     // The cube about the origin with sides of twice the reach.
     layout: (reach) => ({
       margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", showlegend: false,

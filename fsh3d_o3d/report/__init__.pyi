@@ -1,0 +1,13 @@
+from .alignment import alignment_picture as alignment_picture
+from .page import reconstruction_picture as reconstruction_picture
+from .page import write_reconstruction_page as write_reconstruction_page
+from .rendering import render as render
+from .scans import scans_picture as scans_picture
+from .search_page import SearchResult as SearchResult
+from .search_page import write_search_page as write_search_page
+from .small_pictures import library_thumbnail as library_thumbnail
+from .thumbnail import encode_png as encode_png
+from .thumbnail import error_colors as error_colors
+from .thumbnail import render_thumbnail as render_thumbnail
+from .thumbnail import side_by_side as side_by_side
+from .view_page import write_view_page as write_view_page
