@@ -86,12 +86,10 @@ def reconstruct(
             were; says what would help. The same as ``Reconstruction.warnings``.
 
     Example:
-        >>> bowl = fsh.read_geometry("samples/bowl.off")  # open, and thin
-        >>> with warnings.catch_warnings(record=True) as caught:
-        ...     result = fsh.reconstruct(bowl, bandwidth=24)
-        ...
+        >>> horn = fsh.read_geometry("samples/horn.off")  # closed, and no point sees the whole surface
+        >>> result = fsh.reconstruct(horn, bandwidth=16)
         >>> result.way, result.error.relative().rmse < 0.01
-        ('conformal, carved', True)
+        ('conformal', True)
     """
     result = choose(geometry, bandwidth=bandwidth, parts=parts, threads=threads)
     for text in result.warnings:
