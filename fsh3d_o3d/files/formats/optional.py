@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import threading
 from collections.abc import Iterator
 from typing import Any
 
 from fsh3d_o3d._imports import import_installed
 from fsh3d_o3d.errors import GeometryError, GeometryReadError
 
+_one_at_a_time = threading.Lock()
 _STREAMS = (1, 2)  # descriptors of standard output and error
 
 
@@ -54,10 +56,13 @@ def guarded(what: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def silenced() -> Iterator[None]:
-    """A block in which a library that is not Python writes nothing to standard output and error."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    with open(os.devnull, "wb") as nowhere:  # noqa: PTH123 - a device, not a path
+    """A block in which a library that is not Python writes nothing to standard output and error.
+
+    Threads take turns: one that came in between would put back what the other had put in place.
+    """
+    with _one_at_a_time, open(os.devnull, "wb") as nowhere:  # noqa: PTH123 - a device, not a path
+        sys.stdout.flush()
+        sys.stderr.flush()
         kept = [os.dup(descriptor) for descriptor in _STREAMS]
         try:
             for descriptor in _STREAMS:

@@ -6,6 +6,7 @@ import contextlib
 import io
 import logging
 import re
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -21,6 +22,7 @@ from fsh3d_o3d.geometry import MeshArrays, PointArrays
 
 _MILLIMETRES = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "micron": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 _UNIT_OF_TAG = {2: 25.4, 3: 10.0}  # millimetres in the units that resolutions of TIFF are in: inch, centimetre
+_one_at_a_time = threading.Lock()
 _DAMAGE = re.compile(r"invalid|corrupt|truncat|missing", re.IGNORECASE)
 _OME_SIZE = re.compile(r'PhysicalSize([XYZ])="([^"]+)"')
 _OME_UNIT = re.compile(r'PhysicalSize([XYZ])Unit="([^"]+)"')
@@ -68,13 +70,14 @@ def _complaints() -> Iterator[list[str]]:
                 said.append(record.getMessage())
 
     keep = Keep(logging.WARNING)
-    before, logger.propagate = logger.propagate, False
-    logger.addHandler(keep)
-    try:
-        yield said
-    finally:
-        logger.removeHandler(keep)
-        logger.propagate = before
+    with _one_at_a_time:  # else a thread would put back what another one had put in place
+        before, logger.propagate = logger.propagate, False
+        logger.addHandler(keep)
+        try:
+            yield said
+        finally:
+            logger.removeHandler(keep)
+            logger.propagate = before
 
 
 def _spacing(source: Source, file: Any) -> Float64Array:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -106,3 +108,12 @@ def test_the_library_is_silent(capfd):
     with pytest.raises(GeometryReadError):
         read("a.step", b"ISO-10303-21;\nEND-ISO-10303-21;\n")
     assert capfd.readouterr() == ("", "")
+
+
+def test_threads_leave_standard_output_as_it_was(capfd):
+    data = step_bytes(BRACKET, FACES)
+    read("a.step", data)
+    with ThreadPoolExecutor(4) as pool:
+        meshes = list(pool.map(lambda _: parse_content("/a.step", data).geometry, range(8)))
+    os.write(1, b"seen")
+    assert capfd.readouterr() == ("seen", "") and all(mesh == meshes[0] for mesh in meshes)
