@@ -107,7 +107,7 @@ def compute_local_shd_feature(geometry: Any, option: LocalSHDOption | None = Non
     given, surface = _given(geometry)
     places = given if keypoints is None else _places(keypoints, given)
     size = _BYTES_A_NUMBER * (option.length + option.shells * option.bandwidth**2)
-    check.memory(size * len(places), f"the features of {len(places)} points")
+    check.memory(size * len(places), f"describing {len(places)} points at once")
     radius = _default_radius(surface) if option.radius is None else option.radius
     points = _sampled(surface, radius / CELLS) if isinstance(surface, MeshArrays) else surface
     seen = np.isfinite(places).all(axis=1)
