@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ from fsh3d_o3d.geometry import (
     PointArrays,
     SurfaceError,
     measure_mesh,
-    open3d_mesh,
     surface_error,
     vertex_distances,
 )
@@ -83,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
             done = _as_told(source, original, b, options, progress)
         shape, mesh = done.result.shape, done.mesh
         progress.step("writing")
-        write_geometry(options.output, open3d_mesh(mesh, normals=done.normals))
+        write_geometry(options.output, replace(mesh, normals=done.normals))
         if isinstance(shape, ConformalShape):
             for bandwidth, level in shape.level_of_detail(options.levels).items():
                 write_geometry(level_path(options.output, bandwidth), level)
