@@ -23,7 +23,7 @@ COMMANDS = {page: re.findall(r"^ {4}(fsh3d \w+[^#\n]*)", text, flags=re.MULTILIN
 
 def is_whole(command: str) -> bool:
     """Whether a command can be typed as it stands: nothing is to be filled in, no object storage is needed."""
-    return not re.search(r"\[|s3://|\b[A-Z]{2,}\b", command)
+    return not re.search(r"\[|s3://|\b[A-Z][A-Z_]+\b", command)
 
 
 @pytest.fixture
@@ -44,6 +44,7 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "psb/train.cla").write_text("PSB 1  1 3  solid 0 3  1 2 3", "utf-8")
     fsh.write_geometry(tmp_path / "hand.ply", fsh.read_geometry(SAMPLES / "spiky_star.glb"))
     fsh.write_geometry(tmp_path / "scan.ply", fsh.read_geometry(SAMPLES / "gem_rotated.stl"))
+    fsh.RadialShape.from_geometry(fsh.read_geometry(SAMPLES / "gem.stl"), bandwidth=8).save(tmp_path / "shape.npz")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
