@@ -9,7 +9,7 @@ from fsh3d_o3d.geometry import BoolArray, MeshArrays, PointArrays, thinned, tria
 
 _MOST_POINTS = 100_000  # of a cloud that are looked at; a choice
 _NEIGHBORS = 8  # points whose distance says how far apart points are there; a choice
-_SPACINGS = 2.0  # a vertex nearer to a point than so many of those distances is seen; a choice
+_SPACINGS = 1.0  # a vertex nearer to a point than so many of those distances is seen: twice what even samples need
 _DEVIATIONS = 3.0  # robust standard deviations of the points from the surface, allowed besides
 _ALL_AROUND = 0.25  # of the area that may be a guess in a closed surface: a cap of 60 degrees has so much of a sphere
 
