@@ -74,6 +74,7 @@ from fsh3d_o3d.registration import (
     SphericalRegistrationCandidate,
     SphericalRegistrationOption,
     SphericalRegistrationResult,
+    SphericalRegistrationTarget,
     register_scans,
     registration_spherical,
 )
@@ -206,6 +207,7 @@ __all__ = [
     "SphericalRegistrationCandidate",
     "SphericalRegistrationOption",
     "SphericalRegistrationResult",
+    "SphericalRegistrationTarget",
     "register_scans",
     "registration_spherical",
     # retrieval

@@ -34,7 +34,6 @@ def folder(tmp_path, monkeypatch):
         ("parts/bracket.stl", "gem.stl"),
         ("parts/plate.stl", "gem_rotated.stl"),
         ("bracket.stl", "gem.stl"),
-        ("model.stl", "gem.stl"),
         ("psb/models/1.stl", "gem.stl"),
         ("psb/models/2.stl", "gem_rotated.stl"),
         ("psb/models/3.glb", "spiky_star.glb"),
@@ -43,7 +42,8 @@ def folder(tmp_path, monkeypatch):
         shutil.copy(SAMPLES / sample, tmp_path / copy)
     (tmp_path / "psb/train.cla").write_text("PSB 1  1 3  solid 0 3  1 2 3", "utf-8")
     fsh.write_geometry(tmp_path / "hand.ply", fsh.read_geometry(SAMPLES / "spiky_star.glb"))
-    fsh.write_geometry(tmp_path / "scan.ply", fsh.read_geometry(SAMPLES / "gem_rotated.stl"))
+    for copy in ("model.stl", "scan.ply"):  # fits in one pose only
+        fsh.write_geometry(tmp_path / copy, fsh.read_geometry(SAMPLES / "horn.off"))
     fsh.RadialShape.from_geometry(fsh.read_geometry(SAMPLES / "gem.stl"), bandwidth=8).save(tmp_path / "shape.npz")
     monkeypatch.chdir(tmp_path)
     return tmp_path

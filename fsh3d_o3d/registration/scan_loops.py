@@ -25,6 +25,8 @@ _HIDDEN_FREE = 0.05  # share in front of what was seen that right poses reach, b
 _HIDDEN_STEP = 0.02  # more of it that changes the odds by a factor of e; wrong poses have 0.08 to 0.4
 _HALF_CONFIDENT = 0.4  # confidence of the registration that alone is believed by half; from 0.5 on, nearly all is right
 _CONFIDENCE_STEP = 0.1  # of confidence that changes the odds by a factor of e
+_DOUBTED = 0.02  # confidence below which hardly any pose is right
+_DOUBTED_ODDS = 1.5  # log odds that this takes away, and that runners-up lack; contact may still outweigh it
 _LOOSE = 2e-3  # firmness below which poses slide or turn freely; views of balls, vases and rods had 3e-4 to 1e-3
 _LOOSE_ODDS = 4.0  # log odds that each halving of the firmness below that takes away
 _LEAST_LOOSE = 3.0  # halvings that count at most
@@ -68,7 +70,10 @@ class PairPose:
         contact = self.contact
         agreement = np.clip((contact.agreement - _HALF_AGREES) / _AGREEMENT_STEP, -_MOST_AGREES, _MOST_AGREES)
         overlap = np.clip((contact.mean_overlap - _HALF_OVERLAP) / _OVERLAP_STEP, _LEAST_OVERLAPS, _MOST_OVERLAPS)
-        odds = max(float(agreement + overlap), (self.confidence - _HALF_CONFIDENT) / _CONFIDENCE_STEP)
+        odds = float(agreement + overlap)
+        if self.confidence < _DOUBTED:  # it looked at all poses, and found that another is as good or that little fits
+            odds -= _DOUBTED_ODDS
+        odds = max(odds, (self.confidence - _HALF_CONFIDENT) / _CONFIDENCE_STEP)
         if contact.hidden is not None:
             odds = odds - max(contact.hidden - _HIDDEN_FREE, 0) / _HIDDEN_STEP
         looseness = np.log2(_LOOSE / max(contact.firmness, np.finfo(np.float64).tiny))

@@ -12,11 +12,12 @@ from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.descriptors import SHDOption, shd_descriptor
 from fsh3d_o3d.errors import GeometryError
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, evenly_thinned
-from fsh3d_o3d.registration.register import SphericalRegistrationOption, registration_spherical
+from fsh3d_o3d.registration.option import SphericalRegistrationOption
+from fsh3d_o3d.registration.register import registration_spherical
 from fsh3d_o3d.registration.scan_fit import ScanSamples, fitted, measured_contact
 from fsh3d_o3d.registration.scan_graph import Group
 from fsh3d_o3d.registration.scan_loops import PairPose, same_pose
-from fsh3d_o3d.registration.scan_places import Places, matched_poses
+from fsh3d_o3d.registration.target import SphericalRegistrationTarget
 
 _RIGID = SphericalRegistrationOption(with_scaling=False)
 _RUNNERS_UP = 2  # poses of a pair beside the best that loops may decide for
@@ -50,17 +51,11 @@ def chosen_pairs(scans: Sequence[MeshArrays | PointArrays], all_up_to: int, neig
 
 
 def pair_poses(
-    scans: Sequence[MeshArrays | PointArrays],
-    samples: Sequence[ScanSamples],
-    places: Sequence[Places],
-    source: int,
-    target: int,
+    targets: Sequence[SphericalRegistrationTarget], samples: Sequence[ScanSamples], source: int, target: int
 ) -> list[PairPose]:
-    """Return the poses of one scan on another that alignment and alike places offer, fitted to what is in contact."""
+    """Return the poses of one scan on another that alignment offers, fitted to what is in contact."""
     found: list[PairPose] = []
-    offered = _offered(scans[source], scans[target])
-    offered += [(pose, 0.0) for pose in matched_poses(places[source], places[target], samples[source])]
-    for pose, confidence in offered:
+    for pose, confidence in _offered(targets[source].geometry, targets[target]):
         closer = fitted(samples[source], samples[target], pose)
         if not any(same_pose(other.pose, closer) for other in found):
             contact = measured_contact(samples[source], samples[target], closer)
@@ -84,7 +79,6 @@ def joined(group: Group, main: Group, samples: Sequence[ScanSamples]) -> Group |
     clouds = together(group, samples), together(main, samples)
     first, second = (ScanSamples.of(cloud, None) for cloud in clouds)
     offered = _offered(*clouds)
-    offered += [(pose, 0.0) for pose in matched_poses(Places.of(first), Places.of(second), first)]
     tried: list[tuple[Float64Array, float]] = []
     for pose, confidence in offered:
         closer = fitted(first, second, pose)
@@ -119,7 +113,9 @@ def _link(group: Group, main: Group, samples: Sequence[ScanSamples], pose: Float
     return best
 
 
-def _offered(source: MeshArrays | PointArrays, target: MeshArrays | PointArrays) -> list[tuple[Float64Array, float]]:
+def _offered(
+    source: MeshArrays | PointArrays, target: MeshArrays | PointArrays | SphericalRegistrationTarget
+) -> list[tuple[Float64Array, float]]:
     """The answer of the registration and its runners-up, each with its confidence."""
     try:
         result = registration_spherical(source, target, _RIGID)

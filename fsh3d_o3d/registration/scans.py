@@ -19,8 +19,8 @@ from fsh3d_o3d.registration.scan_graph import Group, grouped, optimised, stronge
 from fsh3d_o3d.registration.scan_input import Frames, Scan, scan_of, viewpoints_of
 from fsh3d_o3d.registration.scan_loops import PairPose, believed
 from fsh3d_o3d.registration.scan_pairs import chosen_pairs, joined, pair_poses
-from fsh3d_o3d.registration.scan_places import Places
 from fsh3d_o3d.registration.scan_result import DropReason, ScanPair, ScanRegistrationResult
+from fsh3d_o3d.registration.target import SphericalRegistrationTarget
 from fsh3d_o3d.sphere import single_threaded_blas
 
 __all__ = ["ScanRegistrationOption", "register_scans"]
@@ -113,13 +113,13 @@ def _registered(
     eyes = [None if eye is None else (eye - scan.center) / unit for scan, eye in zip(scans, viewpoints, strict=True)]
     samples = [ScanSamples.of(shape, eye) for shape, eye in zip(shapes, eyes, strict=True)]
     aligned = [shape if isinstance(shape, MeshArrays) else evenly_thinned(shape, _ALIGNED_POINTS) for shape in shapes]
-    places = [Places.of(one) for one in samples]
+    targets = [SphericalRegistrationTarget(one) for one in aligned]
     chosen = chosen_pairs(aligned, option.all_pairs_up_to, option.neighbours)
     shown = progress and sys.stderr.isatty()
     with tqdm(total=len(chosen), unit="pair", leave=False, disable=not shown, desc="aligning") as bar:
         found: list[PairPose] = []
         for target, source in chosen:
-            found += pair_poses(aligned, samples, places, source, target)
+            found += pair_poses(targets, samples, source, target)
             bar.update()
         belief = believed(found)[0]
         bar.set_description_str("joining")

@@ -30,7 +30,7 @@ _EQUAL_RATIO = 1.25  # poses whose residuals differ by less fit equally well
 _CLEAR_RATIO = 1.75  # a pose whose best rival leaves so many times its residual has full confidence
 _OVERLAP_RANGE = (0.6, 0.95)  # shares of the surfaces in touch with no confidence and with full
 
-Ambiguity = Literal["none", "discrete", "continuous"]
+Ambiguity = Literal["none", "discrete", "continuous", "sliding"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +49,12 @@ class Alignment:
     """Residual of the best rival over that of the answer: 1 where another rotation fits as well."""
     ambiguity: Ambiguity
     """Whether other rotations fit as well."""
+    axis: Float64Array | None
+    """(3,) about which turning changes little, if that is so."""
     first: Surface
     """The source, in its own frame."""
     second: Surface
     """The target, in its own frame."""
-    target: Side
-    """Where the target was searched."""
 
     @property
     def overlap(self) -> float:
@@ -89,22 +89,23 @@ def align(
     if polish:
         for probes, steps in _FINAL_FITS:
             best = refine(source, target, best, probes=probes, steps=steps, scaling=scaling)
-    beside = _turned_about_weakest(source, target, best)
+    axis, beside = _turned_about_weakest(source, target, best)
     apart = _residuals(np.concatenate((_distances(source, target, Poses.joined(best, beside)), distances[1:])))
     rivalry = apart[1:] / max(apart[0], _RESOLVED_DISTANCE)
     rivalry[2:][~_distinct(tried, best)[1:]] = np.inf
     poses = Poses.joined(best, tried.take(np.arange(1, len(tried)))) if polish else start.take(order)
     distances[0] = _distances(source, target, best)[0]
+    ambiguity = _ambiguity(rivalry[:2].min(), rivalry[2:].min(initial=np.inf))
     return Alignment(
         poses=poses,
         correlations=correlations[order],
         distances=distances,
         near=max(_TOUCHING, _TOUCHING_SPACINGS * target.spacing),
         rivalry=float(rivalry.min()),
-        ambiguity=_ambiguity(rivalry[:2].min(), rivalry[2:].min(initial=np.inf)),
+        ambiguity=ambiguity,
+        axis=axis if ambiguity == "continuous" else None,
         first=first,
         second=second,
-        target=target,
     )
 
 
@@ -155,14 +156,14 @@ def _distinct(tried: Poses, best: Poses) -> NDArray[np.bool_]:
     return np.asarray((cosine < np.cos(_SAME_ROTATION)) & alike)
 
 
-def _turned_about_weakest(source: Side, target: Side, best: Poses) -> Poses:
-    """The best pose turned either way about the axis that it is held least about.
+def _turned_about_weakest(source: Side, target: Side, best: Poses) -> tuple[Float64Array, Poses]:
+    """The axis that the best pose is held least about, and the pose turned either way about it.
 
     Where that changes nothing, the shape has an axis of revolution.
     """
     axis = weakest_axis(source, target, best, probes=_COMPARED)
     turns = exponential(np.outer((_SAME_ROTATION, -_SAME_ROTATION), axis))
-    return Poses(turns @ best.rotations, best.scales.repeat(2), best.shifts.repeat(2, axis=0))
+    return axis, Poses(turns @ best.rotations, best.scales.repeat(2), best.shifts.repeat(2, axis=0))
 
 
 def _ambiguity(beside: float, elsewhere: float) -> Ambiguity:

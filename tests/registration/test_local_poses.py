@@ -11,7 +11,6 @@ from fsh3d_o3d.geometry import thinned_surface
 from fsh3d_o3d.registration.fit import Poses
 from fsh3d_o3d.registration.lattice import SurfaceLattice, distinct
 from fsh3d_o3d.registration.local_poses import local_poses
-from fsh3d_o3d.registration.occupancy import Occupancy
 from fsh3d_o3d.registration.settling import Ground
 from tests.descriptors.test_neighbourhoods import SHIFT, TURN, surface
 
@@ -32,8 +31,8 @@ def test_a_half_finds_its_place_on_the_whole() -> None:
     half = again[again @ [0.6, 0.0, 0.8] > 0] @ TURN.T + SHIFT
     source, target = (local_harmonics(points, 0.5, keypoints=300) for points in (half, whole))
     poses, _ = local_poses(source, target)
-    occupied = Occupancy.of(whole, 0.05)
-    best = poses.take([int(occupied.shares(poses, half[:200]).argmax())])
+    target = thinned_surface(whole, 0.05)
+    best = Ground.of(target.points, target.normals, 0.05).best(poses, half[:200])[0].take([0])
     error = np.linalg.norm(best.apply(half)[0] - (half - SHIFT) @ TURN, axis=1)
     assert error.mean() < 0.1
 
@@ -53,16 +52,6 @@ def test_poor_clouds_give_finite_poses_or_none(points: np.ndarray) -> None:
         found, scores, origin = Ground.of(sides[1].points, sides[1].normals, 0.08).best(poses, sides[0].points[:250])
         assert len(found) == len(scores) == len(origin) <= 12
         assert np.isfinite(found.shifts).all()
-
-
-def test_probes_on_the_surface_count() -> None:
-    plane = np.stack(np.meshgrid(np.linspace(0, 1, 50), np.linspace(0, 1, 50), [0.0]), axis=-1).reshape(-1, 3)
-    occupied = Occupancy.of(plane, 0.05)
-    lifted = np.array([[0.0, 0.0, height] for height in (0.0, 0.04, 0.2)])
-    poses = Poses(np.eye(3)[None].repeat(3, axis=0), np.ones(3), lifted)
-    shares = occupied.shares(poses, plane[::7])
-    assert shares[0] == shares[1] == 1
-    assert shares[2] < 0.1  # a table that is full by chance
 
 
 def test_rough_poses_settle_on_the_surface() -> None:
