@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,9 +13,11 @@ from fsh3d_o3d.registration.option import SphericalRegistrationOption
 from fsh3d_o3d.registration.parts import PartsAlignment, align_parts
 from fsh3d_o3d.registration.prepared import Prepared, alike
 from fsh3d_o3d.registration.search import Alignment, Ambiguity, align
+from fsh3d_o3d.sphere import icosphere
 
 _SEEN_WHOLE = 0.9  # least share of both surfaces in touch with the other where both are taken for the same whole shape
 _PLAIN = 0.8  # share below which whole shapes are also aligned by their plain area
+_ACROSS = 0.01  # relative; ratios of sizes that differ by less are the same
 _OTHER_SCALE = 0.03  # a scale that differs by more from 1 is tried beside it
 
 
@@ -66,7 +68,31 @@ def _whole(source: Prepared, target: Prepared, option: SphericalRegistrationOpti
     if found.overlap < _PLAIN:
         # Thin parts that only one of the two has weigh less by their area than by what is seen of them.
         found = max(found, _aligned(source.plain, target.plain, option), key=lambda alignment: alignment.overlap)
-    return found
+    if not option.with_scaling:
+        return found
+    # Where closest points settle on a wrong size, both are still as far across.
+    across = _ratio_across(found)
+    if abs(np.log(across / found.poses.scales[0])) <= _ACROSS:
+        return found
+    scale = across * found.second.rms_radius / found.first.rms_radius
+    rigid = replace(option, with_scaling=False)
+    tried = [found]
+    for first, second in ((source.resolved, target.resolved), (source.plain, target.plain)):
+        sized = _aligned(replace(first, rms_radius=scale * first.rms_radius), second, rigid)
+        tried.append(replace(sized, first=first))
+    return min(tried, key=_residual)
+
+
+def _ratio_across(found: Alignment) -> float:
+    """How many times as far across as the turned source the target is, in their frames: median of all directions."""
+    turned = found.first.vertices @ found.poses.rotations[0].T
+    widths = (np.ptp(points @ icosphere(1)[0].T, axis=0) for points in (turned, found.second.vertices))
+    return float(np.median(np.divide(*reversed(list(widths)))))
+
+
+def _residual(found: Alignment) -> float:
+    """Root mean square distance of the surfaces in units of the target; what is not near counts as just that."""
+    return float(np.sqrt(np.mean(np.minimum(found.distances[0], found.near) ** 2))) * found.second.rms_radius
 
 
 def _aligned(first: Surface, second: Surface, option: SphericalRegistrationOption) -> Alignment:

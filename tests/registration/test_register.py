@@ -417,3 +417,12 @@ def test_weakest_axis_is_that_of_revolution():
     side = Side.of(resolved_surface(sample("vase_quads.obj"), 4096), 512)
     axis = weakest_axis(side, side, Poses.centred(np.eye(3)[None], 1.0), probes=512)
     assert abs(axis[2]) > 0.999  # 36 flat sides around the axis hold it a little
+
+
+@pytest.mark.parametrize("name", ["horn.off", "hand.ply", "starfish_posed.ply", "trefoil_knot.ply"])
+def test_a_cloud_is_as_large_as_the_mesh_it_was_taken_from(name):
+    mesh = sample(name)
+    points = area_samples(mesh, 10000)[0]
+    turned = PointArrays(points @ Rotation.from_euler("xyz", [0.3, 1.0, -2.0]).as_matrix().T)
+    result = fsh.registration_spherical(turned, mesh)
+    assert result.scale == pytest.approx(1, abs=0.01)
