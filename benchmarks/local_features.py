@@ -6,6 +6,7 @@ ours looks at the whole cloud around them.
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -20,17 +21,11 @@ from scipy.spatial.transform import Rotation
 import fsh3d_o3d as fsh
 from benchmarks._alignment_pairs import asymmetric_shapes
 from benchmarks._measure import limited
+from benchmarks._partial_pairs import Parts, Points, cut, unit_diagonal, views_apart
 from benchmarks._table import Cell, Check, Column, Row, Table
-from fsh3d_o3d.geometry import MeshArrays, area_samples, ray_casting_scene
-
-Points = NDArray[np.float64]
 
 _VOXEL = 0.03  # of the diagonal, as in registration's benchmark for the best of RANSAC
-_POINTS = 20_000  # of a whole, before the cut
-_NOISE = 0.002  # of the diagonal, along the rays of a depth view: a good depth camera on an object that fills it
 _RIGHT = 0.05  # of the diagonal; matched points closer than this in the true pose are right
-_RAYS = 220  # along a side of a depth view
-_DISTANCE, _OPENING = 2.0, 32.0  # diagonals to the camera, and degrees that it sees
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +40,7 @@ class Pair:
 
 def run(*, quick: bool = False) -> Iterator[Table]:
     """Yield the table of shares of right matches and times."""
-    shapes = [_unit(mesh) for _, mesh in asymmetric_shapes(2 if quick else 30, samples=quick)]
+    shapes = [unit_diagonal(mesh) for _, mesh in asymmetric_shapes(2 if quick else 30, samples=quick)]
     rows = []
     for kind, parts in KINDS.items():
         random = np.random.default_rng(list(KINDS).index(kind))
@@ -132,43 +127,8 @@ def _thinned(cloud: Points) -> Points:
     return np.array(thinned.points)
 
 
-def _unit(mesh: MeshArrays) -> MeshArrays:
-    low, high = mesh.used_vertices.min(axis=0), mesh.used_vertices.max(axis=0)
-    return MeshArrays((mesh.vertices - (low + high) / 2) / mesh.diagonal, mesh.triangles)
-
-
-def _half(mesh: MeshArrays, random: np.random.Generator) -> tuple[Points, Points]:
-    whole, again = (area_samples(mesh, _POINTS, seed=int(random.integers(2**31)))[0] for _ in range(2))
-    height = whole @ _direction(random)
-    return whole[height < np.median(height)], again
-
-
-def _views(mesh: MeshArrays, random: np.random.Generator) -> tuple[Points, Points]:
-    first, other = _direction(random), _direction(random)
-    beside = np.cross(first, other)
-    second = np.cos(np.pi / 3) * first + np.sin(np.pi / 3) * beside / np.linalg.norm(beside)
-    return _view(mesh, first, random), _view(mesh, second, random)
-
-
-def _view(mesh: MeshArrays, direction: Points, random: np.random.Generator) -> Points:
-    """What a depth camera sees from there."""
-    up = [0.0, 0.0, 1.0] if abs(direction[2]) < 0.9 else [0.0, 1.0, 0.0]
-    scene = ray_casting_scene(mesh.vertices, mesh.triangles)
-    rays = scene.create_rays_pinhole(_OPENING, [0.0, 0.0, 0.0], list(_DISTANCE * direction), up, _RAYS, _RAYS)
-    depth = scene.cast_rays(rays)["t_hit"].numpy().ravel()
-    lines = rays.numpy().reshape(-1, 6)[np.isfinite(depth)].astype(np.float64)
-    length = np.linalg.norm(lines[:, 3:], axis=1)
-    far = depth[np.isfinite(depth)] * length + _NOISE * random.standard_normal(len(lines))
-    return np.asarray(lines[:, :3] + lines[:, 3:] * (far / length)[:, None])
-
-
-def _direction(random: np.random.Generator) -> Points:
-    vector = random.standard_normal(3)
-    return np.asarray(vector / np.linalg.norm(vector))
-
-
-KINDS: dict[str, Callable[[MeshArrays, np.random.Generator], tuple[Points, Points]]] = {
-    "half cut off": _half,
-    "views 60° apart": _views,
+KINDS: dict[str, Parts] = {
+    "half cut off": functools.partial(cut, kept=0.5, noise=0.0),
+    "views 60° apart": functools.partial(views_apart, degrees=60),
 }
 """What of a model the two clouds of a pair show, by name."""

@@ -16,6 +16,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 import fsh3d_o3d as fsh
+from benchmarks import registration_partial
 from benchmarks._alignment_pairs import KINDS, Pair, asymmetric_shapes, pairs
 from benchmarks._measure import limited
 from benchmarks._table import Cell, Check, Column, Row, Table
@@ -34,7 +35,12 @@ Method = Callable[[Pair], NDArray[np.float64]]
 
 
 def run(*, quick: bool = False) -> Iterator[Table]:
-    """Yield the table of successes and times."""
+    """Yield the table of successes and times of whole shapes, then those of shapes seen in part."""
+    yield _whole_shapes(quick)
+    yield from registration_partial.run(quick=quick)
+
+
+def _whole_shapes(quick: bool) -> Table:
     shapes = asymmetric_shapes(2 if quick else 100, samples=quick)
     rows = []
     for kind in list(KINDS)[:: 4 if quick else 1]:
@@ -51,7 +57,7 @@ def run(*, quick: bool = False) -> Iterator[Table]:
             better = _success(reference[0], kind) - _success(angles, kind)
             checks = (Check("times slower", ratio, ">=", 10.0), Check("success behind", better, ">=", 0.0))
             rows.append(_row(kind, name, fewer, angles, seconds, reference[1], checks))
-    yield Table(
+    return Table(
         "registration",
         f"Global alignment of {len(shapes)} asymmetric shapes with copies of them, in any position and size",
         (

@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from scipy.spatial import cKDTree
 
 import fsh3d_o3d as fsh
 from benchmarks import __main__ as command
-from benchmarks import _measure, _table, harmonics
+from benchmarks import _measure, _partial_methods, _partial_pairs, _table, harmonics, registration_partial
 from benchmarks._table import Check, Column, Curve, Plot, Row, Table, write_tables
+from fsh3d_o3d.geometry import area_samples
 from tests.optional import skip_without_torch
 
 # Figures that do not depend on the machine's speed: their targets hold at any size.
@@ -45,7 +47,7 @@ TABLES = {
     "features": ["features_rotation"],
     "descriptors": ["descriptors"],
     "local_features": ["local_features"],
-    "registration": ["registration"],
+    "registration": ["registration", "registration_partial", "registration_partial_confidence"],
     "index": ["index"],
     "rotation": ["rotation", "rotation_pair", "rotation_batch"],
     "learning": ["learning_transform", "learning_evaluation", "learning_memory", "learning_device"],
@@ -241,3 +243,55 @@ def test_extended_precision_oracle_knows_low_degrees() -> None:
         fsh.spherical_harmonics(direction, 20),
         atol=1e-13,
     )
+
+
+def test_partial_pairs_show_what_their_kind_says() -> None:
+    shapes = _partial_pairs.partial_shapes(1, samples=True)
+    ((_, mesh),) = shapes
+    assert mesh.diagonal == pytest.approx(1.0)
+    model = cKDTree(area_samples(mesh, 50_000)[0])
+    for kind in _partial_pairs.PARTIAL_KINDS:
+        (pair,) = _partial_pairs.partial_pairs(shapes, kind)
+        (again,) = _partial_pairs.partial_pairs(shapes, kind)
+        np.testing.assert_array_equal(again.source, pair.source)
+        back = (pair.source - pair.shift) @ pair.rotation
+        for cloud in (back, pair.target):
+            # The true motion lays both on the model, but for noise and the spacing of its samples.
+            apart = np.median(model.query(cloud)[0])
+            assert apart < (0.012 if "1 % noise" in kind else 0.005), kind
+        shared = np.mean(cKDTree(pair.target).query(back)[0] < 0.02)
+        if kind == "parts that share a third":
+            assert 0.25 < shared < 0.45
+        if "cut off" in kind:
+            assert len(back) == {"30": 14_000, "ha": 10_000, "80": 4_000}[kind[:2]]
+            assert shared > 0.99
+        # A pose that is the truth is found to be it, one that is not is not.
+        truth = np.eye(4)
+        truth[:3, :3], truth[:3, 3] = pair.rotation.T, -pair.shift @ pair.rotation
+        assert registration_partial.distance_of(pair, truth) < 1e-12
+        assert registration_partial.distance_of(pair, np.eye(4)) > 0.02
+
+
+@pytest.mark.parametrize("installed", [True, False])
+def test_a_peer_that_is_not_installed_is_told(installed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    some = registration_partial.Tries(np.array([0.001, 0.5]), np.array([1.0, 2.0]), np.array([0.9, 0.1]))
+    names = ["ours", _partial_methods.REFERENCE] + ["KISS-Matcher + ICP"] * installed
+    monkeypatch.setattr(registration_partial, "METHODS", dict.fromkeys(names))
+    table = registration_partial.success_table({"half cut off": dict.fromkeys(names, some)}, 2)
+    assert ("KISS-Matcher is not measured" in table.text()) != installed
+    assert [row.cells["far"] for row in table.rows] == [0.5] * len(names)
+    assert table.rows[0].cells["spread"] == "1.00 … 1.00"
+
+
+def test_wrong_answers_with_confidence_are_told() -> None:
+    tries = registration_partial.Tries(np.array([0.001, 0.5, 0.001, 0.5]), np.ones(4), np.array([1.0, 0.95, 0.3, 0.0]))
+    table = registration_partial.confidence_table(tries)
+    assert [(row.cells["pairs"], row.cells["right"]) for row in table.rows] == [
+        (1, 0.0),
+        (0, None),
+        (1, 1.0),
+        (0, None),
+        (2, 0.5),
+    ]
+    assert len(table.missed) == 1
+    assert "50 % of the right answers have 0.5 or more; of the 2 wrong ones 1 have more" in table.notes[-1]
