@@ -15,9 +15,18 @@ from fsh3d_o3d.geometry import MeshArrays, PointArrays, transformed
 from fsh3d_o3d.registration import SphericalRegistrationOption, SphericalRegistrationResult, registration_spherical
 
 _OF_CANDIDATES = ("transformation", "correlation", "fitness", "inlier_rmse")
-_OF_RESULT = (*_OF_CANDIDATES, "scale", "reflected", "max_correspondence_distance", "confidence", "ambiguity")
+_OF_RESULT = (
+    *_OF_CANDIDATES,
+    "scale",
+    "reflected",
+    "max_correspondence_distance",
+    "overlap",
+    "confidence",
+    "ambiguity",
+    "ambiguous_axis",
+)
 _TRUSTED = 0.2  # confidence, a choice: below it the answer is as likely as not another rotation; exit code 1
-_WHOLE = 0.9  # share of the source near the target; less is said to be another shape, or a part
+_WHOLE = 0.9  # share of either surface on the other; less is said to be a part
 
 
 def add_parser(commands: Any) -> None:
@@ -25,8 +34,8 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "align",
         help="turn, move and scale a mesh or point cloud onto another, from any position",
-        description="Turn, move and scale the source onto the target, wherever both lie, and write it there. Meant for "
-        "shapes seen whole; the confidence tells how far to trust the answer, and the exit code is 1 "
+        description="Turn, move and scale the source onto the target, wherever both lie, and write it there. Either "
+        "may be a part of the other; the confidence tells how far to trust the answer, and the exit code is 1 "
         "where it is below 0.2.",
     )
     parser.add_argument("source", help="mesh or point cloud that moves")
@@ -106,10 +115,13 @@ def _check_format(output: str, source: MeshArrays | PointArrays) -> None:
 
 def _summary(options: argparse.Namespace, result: SphericalRegistrationResult, targets: list[str]) -> list[str]:
     caveat = ""
-    if result.fitness < _WHOLE:
-        caveat = ": the shapes differ, or overlap in part only"
-    elif result.ambiguity != "none":
-        caveat = ": other rotations fit about as well"
+    if result.ambiguity != "none":
+        caveat = ": other poses fit about as well"
+    elif result.confidence < _TRUSTED:
+        caveat = ": the shapes differ, or share too little"
+    elif min(result.overlap) < _WHOLE:
+        on_target, on_source = (round(100 * share) for share in result.overlap)
+        caveat = f": {on_target} % of the source lies on the target, {on_source} % of that on the source"
     mirrored = ", mirrored" if result.reflected else ""
     return [
         f"{options.source} onto {options.target}: confidence {result.confidence:.2f}{caveat}",

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from fsh3d_o3d.cli import main
 from fsh3d_o3d.files.reading import read_geometry_arrays
 from fsh3d_o3d.files.writing import write_geometry
-from fsh3d_o3d.geometry.arrays import MeshArrays
-from fsh3d_o3d.geometry.measures import measure_mesh
+from fsh3d_o3d.geometry.arrays import MeshArrays, PointArrays
+from fsh3d_o3d.geometry.measures import area_samples, measure_mesh
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 HORN = SAMPLES / "horn.off"
@@ -83,7 +83,7 @@ def test_doubt_is_said(tmp_path, capsys):
     out = tmp_path / "out.ply"
     assert run(SAMPLES / "double_torus.off", SAMPLES / "double_torus.off", "-o", out) == 1
     said = capsys.readouterr()
-    assert "other rotations fit about as well" in said.out
+    assert "other poses fit about as well" in said.out
     assert "the confidence is below 0.2" in said.err
     assert out.exists()  # an answer as good as any other
     assert run(HORN, SAMPLES / "starfish_posed.ply", "-o", out) == 1
@@ -131,3 +131,15 @@ def test_bad_files_are_named(tmp_path, capsys):
         err = capsys.readouterr().err
         assert str(pair[0] if pair[0] != HORN else pair[1]) in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_part_says_how_much_is_shared(tmp_path, capsys):
+    whole = read_geometry_arrays(HORN)
+    cloud = PointArrays(area_samples(whole, 8000)[0])
+    half = tmp_path / "half.ply"
+    write_geometry(half, PointArrays(cloud.points[cloud.points[:, 0] > np.median(cloud.points[:, 0])]))
+    assert run(half, HORN, "-o", tmp_path / "out.ply", "--no-scale") == 0
+    assert "% of the source lies on the target" in capsys.readouterr().out
+    assert run(half, HORN, "-o", tmp_path / "out.ply", "--no-scale", "--json") == 0
+    on_target, on_source = json.loads(capsys.readouterr().out)["overlap"]
+    assert on_target > 0.9 > 0.6 > on_source
