@@ -59,7 +59,11 @@ def answer(source: Prepared, target: Prepared, option: SphericalRegistrationOpti
     found = []
     for scale in scales:
         others = None if whole is None else _about_centers(whole, source, target)
-        found.append(_of_parts(align_parts(source, target, scale, others), source, target, scale))
+        parts = align_parts(source, target, scale, others)
+        if parts is not None:
+            found.append(_of_parts(parts, source, target, scale))
+    if not found:
+        return _of_whole(whole or _whole(source, target, option))
     return max(found, key=lambda each: each.confidence)
 
 

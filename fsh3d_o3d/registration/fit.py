@@ -222,7 +222,7 @@ def refine_parts(source: Side, target: Side, poses: Poses, *, probes: int, reach
     if len(source.nodes) > len(target.nodes):
         return refine_parts(target, source, poses.inverse(), probes=probes, reaches=reaches).inverse()
 
-    steps = [functools.partial(_parts_pairs, source, target, probes=probes, reach=reach) for reach in reaches]
+    steps = [functools.partial(parts_pairs, source, target, probes=probes, reach=reach) for reach in reaches]
     return _descended(poses, steps, scaling=False)
 
 
@@ -253,33 +253,7 @@ def weakest_axis(source: Side, target: Side, pose: Poses, *, probes: int) -> Flo
     return np.asarray(np.linalg.eigh(matrix[0, :3, :3])[1][:, 0])
 
 
-def weakest_motion(
-    source: Side, target: Side, pose: Poses, *, probes: int, reach: float
-) -> tuple[Float64Array, Float64Array]:
-    """Return the small motion (6,), a turn about the pairs' mean and a shift, that changes distances to planes least.
-
-    It moves the pairs by 1, root mean square. Their mean (3,) comes with it.
-    """
-    pairs, _ = _parts_pairs(source, target, pose, probes, reach)
-    held = _dot(pairs.normal[0], pairs.normal[0]) > 0
-    place, normal = pairs.place[0, held], pairs.normal[0, held]
-    center = place.mean(axis=0) if len(place) else np.zeros(3)
-    place = place - center
-    radius = max(float(np.sqrt(np.mean(_dot(place, place)))) if len(place) else 0.0, reach)
-    rows = np.concatenate((np.cross(place, normal) / radius, normal), axis=1)
-    motion = np.linalg.eigh(rows.T @ rows)[1][:, 0]
-    motion[:3] /= radius
-    return motion, center
-
-
-def _usual_pairs(source: Side, target: Side, poses: Poses, probes: int) -> tuple[Pairs, Float64Array]:
-    """Pairs of surfaces that are whole, and how far apart (k,) they count: a few times as far as usual."""
-    pairs = Pairs.of(source, target, poses, probes)
-    usual = np.median(np.sqrt(_dot(pairs.gap, pairs.gap)), axis=1)
-    return pairs, np.clip(_PAIR_LIMIT * usual, _LEAST_PAIR_LIMIT, REACH)
-
-
-def _parts_pairs(source: Side, target: Side, poses: Poses, probes: int, reach: float) -> tuple[Pairs, Float64Array]:
+def parts_pairs(source: Side, target: Side, poses: Poses, probes: int, reach: float) -> tuple[Pairs, Float64Array]:
     """Pairs from the source alone that may be the same surface, and how far apart (k,) they count.
 
     Where the nearest node is not across but beside, the other surface has ended.
@@ -291,6 +265,13 @@ def _parts_pairs(source: Side, target: Side, poses: Poses, probes: int, reach: f
     other |= np.abs(_dot(turned, pairs.normal)) < _FACING
     pairs.gap[other], pairs.normal[other] = (reach, 0, 0), 0
     return pairs, np.full(len(poses), reach)
+
+
+def _usual_pairs(source: Side, target: Side, poses: Poses, probes: int) -> tuple[Pairs, Float64Array]:
+    """Pairs of surfaces that are whole, and how far apart (k,) they count: a few times as far as usual."""
+    pairs = Pairs.of(source, target, poses, probes)
+    usual = np.median(np.sqrt(_dot(pairs.gap, pairs.gap)), axis=1)
+    return pairs, np.clip(_PAIR_LIMIT * usual, _LEAST_PAIR_LIMIT, REACH)
 
 
 def _normal_equations(pairs: Pairs, limits: Float64Array) -> tuple[Float64Array, Float64Array]:

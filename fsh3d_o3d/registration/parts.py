@@ -9,11 +9,11 @@ import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.registration.agreement import Agreement, agreement, near_distance
-from fsh3d_o3d.registration.fit import Poses, Side, refine_parts, weakest_motion
+from fsh3d_o3d.registration.fit import Poses, Side, refine_parts
 from fsh3d_o3d.registration.local_poses import local_poses
 from fsh3d_o3d.registration.prepared import Prepared, common_spacing
 from fsh3d_o3d.registration.search import Ambiguity
-from fsh3d_o3d.sphere import exponential
+from fsh3d_o3d.registration.slipping import Slip
 
 _PROBES = 200  # samples of the source by which guesses settle
 _COMPARED = 150  # samples of each side that tell which poses are fitted
@@ -26,6 +26,7 @@ _EQUAL = 0.9  # of the answer's score: poses with more fit as well
 _LIKELY, _MORE, _LESS, _RIVAL = 1.3, 6.3, 6.6, 6.2
 _CAUTION = np.log(14.0)  # log-odds at which confidence is one half
 _DECIDING = 500  # samples of each side that decide at last
+_FEWEST = 20  # samples of either side; what fewer agree on is chance
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,12 @@ class PartsAlignment:
         return _confidence(self.agreement, self.rivalry)
 
 
-def align_parts(source: Prepared, target: Prepared, scale: float = 1.0, others: Poses | None = None) -> PartsAlignment:
+def align_parts(
+    source: Prepared, target: Prepared, scale: float = 1.0, others: Poses | None = None
+) -> PartsAlignment | None:
     """Find poses of two geometries about their centres, the size of the target for one.
+
+    None where there is too little to compare: a few points, or one side a speck beside the other.
 
     Args:
         source: What is moved.
@@ -91,8 +96,11 @@ def align_parts(source: Prepared, target: Prepared, scale: float = 1.0, others: 
     unit = target.size
     spacing = common_spacing(source, target, scale) / unit
     pair = _Pair(source.side(unit / scale, spacing), target.side(unit, spacing), spacing)
+    if min(len(pair.source.nodes), len(pair.target.nodes)) < _FEWEST:
+        return None
     ground = target.ground(unit, spacing)
     best = _Scored.unmatched(others) if others is not None else None
+    answer = None
     for effort in _EFFORTS:
         radius = effort.radius * spacing
         guesses, scores = local_poses(
@@ -101,7 +109,10 @@ def align_parts(source: Prepared, target: Prepared, scale: float = 1.0, others: 
             most=effort.matches,
         )
         poses, _, index = ground.best(guesses, pair.source.probes[:_PROBES], effort.settled)
-        best = pair.narrowed(_Scored(poses, scores[index]).joined(best), effort.kept)
+        found = _Scored(poses, scores[index]).joined(best)
+        if not len(found.poses):
+            continue
+        best = pair.narrowed(found, effort.kept)
         answer = pair.judged(best)
         if answer.confidence >= _CLEAR:
             break
@@ -177,14 +188,15 @@ class _Pair:
         best = self.refined(found.poses.take([0]), *_LAST_FIT)
         poses = Poses.joined(best, found.poses)
         apart = self.distinct(poses, -np.arange(len(poses), dtype=np.float64), len(poses), _ELSEWHERE)
-        axis, slides, beside = self.moved_beside(best)
+        slip = Slip.weakest(self.source, self.target, best, probes=_DECIDING, reach=near_distance(self.spacing))
+        beside = [slip.applied(best, step * self.spacing) for step in (_STEP, -_STEP)]
         checked = self.agreement(Poses.joined(best, *beside), _DECIDING)
         first = max(float(checked.score[0]), np.finfo(np.float64).tiny)
         near = float(checked.score[1:].max() / first)
         elsewhere = float(agreed.score[apart[1] - 1] / first) if len(apart) > 1 else 0.0
         ambiguity: Ambiguity = "none"
         if near > _EQUAL:
-            ambiguity = "sliding" if slides else "continuous"
+            ambiguity = "sliding" if slip.slides(self.source.extent) else "continuous"
         elif elsewhere > _EQUAL:
             ambiguity = "discrete"
         return PartsAlignment(
@@ -193,24 +205,9 @@ class _Pair:
             correlations=found.correlations,
             rivalry=min(max(near, elsewhere, 0.0), 1.0),
             ambiguity=ambiguity,
-            axis=axis if near > _EQUAL else None,
+            axis=slip.axis(self.source.extent) if near > _EQUAL else None,
             near=near_distance(self.spacing),
         )
-
-    def moved_beside(self, best: Poses) -> tuple[Float64Array, bool, list[Poses]]:
-        """The axis (3,) of the small motion that changes least, whether that slides, and the pose moved either way."""
-        motion, center = weakest_motion(
-            self.source, self.target, best, probes=_DECIDING, reach=near_distance(self.spacing)
-        )
-        moved = []
-        for step in (_STEP * self.spacing, -_STEP * self.spacing):
-            rotation = exponential((step * motion[:3])[None])[0]
-            offset = center + step * motion[3:] - rotation @ center
-            moved.append(Poses(rotation @ best.rotations, best.scales, best.shifts @ rotation.T + offset))
-        size = self.source.extent
-        slides = bool(np.linalg.norm(motion[3:]) > np.linalg.norm(motion[:3]) * size)
-        axis = motion[3:] if slides else motion[:3]
-        return axis / np.linalg.norm(axis), slides, moved
 
 
 def _confidence(found: Agreement, rivalry: float) -> float:
