@@ -47,10 +47,14 @@ def answer(source: Prepared, target: Prepared, option: SphericalRegistrationOpti
     """Align as whole shapes where both may be the same, and as parts of one where that does not fit."""
     whole = None
     meshes = isinstance(source.geometry, MeshArrays) and isinstance(target.geometry, MeshArrays)
-    if meshes or alike(source, target, option.with_scaling):
+    same = meshes or alike(source, target, option.with_scaling)
+    # Parts cannot tell another size; so where it is not known, clouds that do not look alike are tried as wholes, too.
+    if same or option.with_scaling:
         whole = _whole(source, target, option)
         if whole.overlap >= _SEEN_WHOLE:
             return _of_whole(whole)
+    if not same:
+        whole = None  # neither its poses nor its size are of use then
     scales = [1.0]
     if whole is not None:
         scale = float(whole.poses.scales[0]) * whole.second.rms_radius / whole.first.rms_radius

@@ -17,6 +17,7 @@ from fsh3d_o3d.files.reading import read_geometry_arrays
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, open3d_mesh, open3d_point_cloud
 from fsh3d_o3d.geometry.measures import area_samples
 from fsh3d_o3d.registration.fit import Poses, Side, refine, weakest_axis
+from fsh3d_o3d.registration.prepared import Prepared, alike
 from fsh3d_o3d.registration.surface import plain_surface, shell_coefficients
 from fsh3d_o3d.registration.surface import resolved_surface as resolved
 
@@ -426,3 +427,20 @@ def test_a_cloud_is_as_large_as_the_mesh_it_was_taken_from(name):
     turned = PointArrays(points @ Rotation.from_euler("xyz", [0.3, 1.0, -2.0]).as_matrix().T)
     result = fsh.registration_spherical(turned, mesh)
     assert result.scale == pytest.approx(1, abs=0.01)
+
+
+def test_wires_that_a_cloud_hardly_shows_do_not_hide_its_size(random_rotation):
+    parts = [MeshArrays(*fsh.icosphere(3))]
+    for axis, length in enumerate((2.0, 3.0, 4.0)):
+        box = o3d.geometry.TriangleMesh.create_box(length, 0.005, 0.005)
+        vertices = np.roll(np.asarray(box.vertices), axis, axis=1)
+        parts.append(MeshArrays(vertices, np.asarray(box.triangles)))
+    first = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    triangles = [part.triangles + start for part, start in zip(parts, first, strict=True)]
+    mesh = MeshArrays(np.concatenate([part.vertices for part in parts]), np.concatenate(triangles))
+    truth = similarity(random_rotation, 1.8, (3, -2, 1))
+    cloud = moved(PointArrays(area_samples(mesh, 2000, seed=1)[0]), truth)
+    assert not alike(Prepared.of(mesh, 4096, "source"), Prepared.of(cloud, 4096, "target"), scaling=True)
+    result = fsh.registration_spherical(mesh, cloud)
+    assert result.scale == pytest.approx(1.8, rel=0.01)
+    assert angle(result.transformation, truth) < 1
