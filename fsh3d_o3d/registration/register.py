@@ -56,7 +56,8 @@ class SphericalRegistrationResult:
     """Share of the source's area that lies on the target, and of the target's that lies on the source."""
     confidence: float
     """In [0, 1]: how far the answer can be trusted. Low where little overlaps, where surfaces stay apart, and where
-    another pose fits as well (see ``ambiguity``)."""
+    another pose of whole shapes fits as well; of parts it tells that they lie on each other, and ``ambiguity`` whether
+    they do so elsewhere, too."""
     ambiguity: Ambiguity
     """``"discrete"``: some other pose fits about as well, as for two-fold symmetry; ``"continuous"``: turning a little
     about some axis changes little, as for vases and balls; ``"sliding"``: moving a little along some direction does,
@@ -110,10 +111,10 @@ def registration_spherical(
 ) -> SphericalRegistrationResult:
     """Find the similarity that maps one shape onto another, wherever and however they lie.
 
-    Both are moved to the centroids and scaled by the RMS radii of their areas; the correlation of their spherical
-    harmonics over all rotations gives candidates, distances between the surfaces decide among them, and closest points
-    polish the answer (``docs/alignment.md``). Meant for shapes seen whole: where they overlap in part the answer may
-    be wrong, and its confidence low. Equal input gives equal bytes.
+    Whole shapes are moved to their centroids and turned by the correlation of their spherical harmonics over all
+    rotations. Where that does not lay both on each other, either is taken for a part: matches of local harmonics stand
+    for poses, and what agrees of both surfaces decides (``docs/alignment.md``). Of parts in different units the scale
+    is not found. Equal input gives equal bytes.
 
     Args:
         source: Mesh or point cloud, as ``from_any`` takes it.
@@ -121,8 +122,8 @@ def registration_spherical(
         option: ``SphericalRegistrationOption()`` if not given.
 
     Returns:
-        The transformation with fitness, inlier RMSE, confidence and runners-up. Shapes without a unique rotation get
-        one that fits, ``ambiguity`` says so, and the confidence is near 0.
+        The transformation with overlap, confidence and runners-up. Shapes without a unique pose get one that fits, and
+        ``ambiguity`` says so; of whole shapes the confidence is near 0 then.
 
     Raises:
         TypeError: Not a geometry, or not an option.
