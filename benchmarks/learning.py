@@ -43,7 +43,7 @@ def run(*, quick: bool = False) -> Iterator[Table]:
 
 
 def _installed(name: str) -> bool:
-    return importlib.util.find_spec(name) is not None
+    return importlib.util.find_spec(name.split(".")[0]) is not None
 
 
 def _differentiated(function: Callable[[Any], Any], argument: Any) -> Callable[[], Any]:

@@ -15,6 +15,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import fsh3d_o3d as fsh
 from fsh3d_o3d.cli import main as fsh3d
@@ -65,9 +66,14 @@ def main() -> int:
     worst = max(worst, fsh3d(["describe", *(str(SAMPLES / name) for name in COMPARED), "-o", str(features)]))
     if worst == 0:
         _compare(features)
-        turned, upright = str(SAMPLES / "gem_rotated.stl"), str(SAMPLES / "gem.stl")
-        aligned = [str(folder / "gem_aligned.ply"), "--picture", str(folder / "gem_aligned.png")]
-        worst = max(worst, fsh3d(["align", turned, upright, "-o", *aligned]))
+        # A spiral, which fits in one pose only: turned, moved and in other units.
+        turned = folder / "horn_turned.ply"
+        matrix = np.diag([25.4, 25.4, 25.4, 1.0])
+        matrix[:3, :3] @= Rotation.from_rotvec([1.0, 1.2, -0.8]).as_matrix()
+        matrix[:3, 3] = 3, -40, 12
+        fsh.write_geometry(turned, fsh.read_geometry(SAMPLES / "horn.off").transform(matrix))
+        aligned = [str(folder / "horn_aligned.ply"), "--picture", str(folder / "horn_aligned.png")]
+        worst = max(worst, fsh3d(["align", str(turned), str(SAMPLES / "horn.off"), "-o", *aligned]))
         worst = max(worst, _search(folder))
         print(f"Open {folder / 'bennu_like.png'} for a picture; {folder / 'bennu_like.html'} and hits.html for pages.")
     return worst

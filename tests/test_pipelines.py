@@ -20,7 +20,7 @@ def test_demo(tmp_path):
     assert "RMSE" in done.stdout
     assert "trefoil_knot.ply" in done.stdout
     assert "Distances between features" in done.stdout
-    assert {"gem_aligned.ply", "gem_aligned.png", "samples.fsh", "hits.html"} <= {p.name for p in tmp_path.iterdir()}
+    assert {"horn_aligned.ply", "horn_aligned.png", "samples.fsh", "hits.html"} <= {p.name for p in tmp_path.iterdir()}
 
 
 def test_align_scans(tmp_path):
