@@ -24,6 +24,7 @@ _STEP = 4.0  # spacings that the weakest motion moves the overlap, root mean squ
 _EQUAL = 0.9  # of the answer's score: poses with more fit as well
 # Log-odds of being right, fitted to 213 pairs: shares of the surfaces in touch, and the rival's share of the score.
 _LIKELY, _MORE, _LESS, _RIVAL = 1.3, 6.3, 6.6, 6.2
+_AS_GOOD = 0.05  # of the score; rivals that lack less than this take confidence away
 _CAUTION = np.log(14.0)  # log-odds at which confidence is one half
 _DECIDING = 500  # samples of each side that decide at last
 _FEWEST = 20  # samples of either side; what fewer agree on is chance
@@ -52,7 +53,7 @@ _EFFORTS = (
     _Effort(5.0, (300, 600), 700, 24, 6),
     _Effort(12.0, (300, 600), 700, 24, 6),
 )
-_CLEAR = 0.25  # confidence at which no more is looked for; of 16 answers from 0.2 to 0.5 all were right
+_CLEAR = 0.35  # confidence at which no more is looked for; of 22 answers from 0.2 to 0.5, 20 were right
 _FIT = (200, (3.3, 2.7, 2.7, 2.0, 1.6))  # the same for all that are fitted
 _LAST_FIT = (400, (2.0, 1.6, 1.3, 1.3))  # probes and reaches in spacings, for the answer alone
 
@@ -213,8 +214,10 @@ class _Pair:
 def _confidence(found: Agreement, rivalry: float) -> float:
     """A logistic function of what overlaps and of the best rival, fitted to partial pairs and pairs that share nothing.
 
-    Being wrong counts more than being unsure: what is right in 14 of 15 cases gets 0.5.
+    Being wrong counts more than being unsure: what is right in 14 of 15 cases gets 0.5. Where a rival fits just as
+    well, one of several answers was taken, and the confidence is 0.
     """
     touching = found.touching[0]
     likely = _LIKELY + _MORE * touching.max() + _LESS * touching.min() - _RIVAL * rivalry
-    return float(1 / (1 + np.exp(_CAUTION - likely)))
+    clear = np.clip((1 - rivalry) / _AS_GOOD, 0, 1)
+    return float(clear / (1 + np.exp(_CAUTION - likely)))
