@@ -1,7 +1,7 @@
 """How well two surfaces agree in a pose where only a part of each has a counterpart.
 
 The mean distance of all samples prefers poses that overlap too much. What counts here is what lies on the other
-surface within a tight tolerance, less what lies beside it: a surface that is there has no second one a little apart.
+surface within a tight tolerance.
 """
 
 from __future__ import annotations
@@ -11,25 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsh3d_o3d._validation import Float64Array, IntArray
-from fsh3d_o3d.registration.fit import Poses, Side
+from fsh3d_o3d.registration.fit import Poses, Side, nearest_nodes
 
 _TOLERANCE = 0.25  # spacings off the other's tangent plane, up to which samples agree: the roughness of thinned scans
 _BESIDE = 1.35  # spacings to the nearest sample up to which samples can agree
-_NEAR = 3.3  # spacings within which a sample that does not agree speaks against the pose
 _PARALLEL = 0.7  # least cosine between normals of surfaces that agree
-_AGAINST = 0.0  # how much a sample beside the surface takes away of what one on it gives
 
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """What speaks for poses and against them."""
+    """What speaks for poses."""
 
     agreeing: Float64Array
     """(k, 2) shares of the samples of source and target that lie on the other, less the farther off they are."""
     touching: Float64Array
     """(k, 2) shares of the samples that lie on the other within the tolerance, all counting alike."""
-    against: Float64Array
-    """(k, 2) shares of the samples that lie beside the other and not on it."""
     apart: Float64Array
     """(k,) root mean square distance of the source's samples that lie on the target to its tangent planes."""
     sizes: tuple[int, int]
@@ -37,7 +33,7 @@ class Agreement:
 
     def take(self, index: IntArray) -> Agreement:
         """That of some of the poses, in the order of ``index``."""
-        return Agreement(self.agreeing[index], self.touching[index], self.against[index], self.apart[index], self.sizes)
+        return Agreement(self.agreeing[index], self.touching[index], self.apart[index], self.sizes)
 
     @classmethod
     def joined(cls, first: Agreement, second: Agreement) -> Agreement:
@@ -45,15 +41,14 @@ class Agreement:
         return cls(
             np.concatenate((first.agreeing, second.agreeing)),
             np.concatenate((first.touching, second.touching)),
-            np.concatenate((first.against, second.against)),
             np.concatenate((first.apart, second.apart)),
             first.sizes,
         )
 
     @property
     def score(self) -> Float64Array:
-        """(k,) area that speaks for a pose less what speaks against it, over the area of the smaller surface."""
-        area = (self.agreeing - _AGAINST * self.against) * np.array(self.sizes)
+        """(k,) area that speaks for a pose over the area of the smaller surface."""
+        area = self.agreeing * np.array(self.sizes)
         return np.asarray(area.sum(axis=1) / min(self.sizes))
 
 
@@ -63,8 +58,8 @@ def agreement(
     """Measure poses by ``probes`` samples of either surface, whose samples are ``spacing`` apart."""
     there = _one_sided(source, target, poses, probes, spacing, slack)
     back = _one_sided(target, source, poses.inverse(), probes, spacing, slack)
-    agreeing, touching, against, apart = (np.stack(pair, axis=1) for pair in zip(there, back, strict=True))
-    return Agreement(agreeing, touching, against, apart[:, 0], (len(source.nodes), len(target.nodes)))
+    agreeing, touching, apart = (np.stack(pair, axis=1) for pair in zip(there, back, strict=True))
+    return Agreement(agreeing, touching, apart[:, 0], (len(source.nodes), len(target.nodes)))
 
 
 def _one_sided(
@@ -72,19 +67,18 @@ def _one_sided(
 ) -> tuple[Float64Array, ...]:
     chosen = source.order[:probes]
     moved = poses.apply(source.nodes[chosen])
-    distance, found = target.tree.query(moved, distance_upper_bound=_NEAR * spacing)
-    near = np.isfinite(distance)
-    found = np.where(near, found, 0)
+    beside = _BESIDE * slack**0.5 * spacing
+    found, far = nearest_nodes(target.tree, moved, beside)
     normal = target.normals[found]
     off = np.abs(np.einsum("kmi,kmi->km", moved - target.nodes[found], normal)) / (_TOLERANCE * slack * spacing)
     turned = source.normals[chosen] @ np.swapaxes(poses.rotations, 1, 2)
     parallel = np.abs(np.einsum("kmi,kmi->km", turned, normal)) >= _PARALLEL
-    on = (distance <= _BESIDE * slack**0.5 * spacing) & parallel & (off <= 1)
+    on = ~far & parallel & (off <= 1)
     agreeing, touching = np.where(on, 1 - off**2, 0).mean(axis=1), on.mean(axis=1)
     apart = (
         _TOLERANCE * slack * spacing * np.sqrt(np.maximum(touching - agreeing, 0) / np.maximum(touching, 1 / probes))
     )
-    return agreeing, touching, (near & ~on).mean(axis=1), apart
+    return agreeing, touching, apart
 
 
 def near_distance(spacing: float) -> float:

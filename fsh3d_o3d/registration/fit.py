@@ -163,12 +163,12 @@ class Pairs:
         What is as far as ``reach`` or farther has no counterpart: its gap is that long, and it has no normal.
         """
         there = poses.apply(source.probes[:probes])
-        found, far = _nearest(target.tree, there, reach)
+        found, far = nearest_nodes(target.tree, there, reach)
         place, gap = there, there - target.nodes[found]
         normal, spacing = target.normals[found], target.spacings[found]
         if back:
             asking = target.probes[:probes]
-            met, out = _nearest(source.tree, poses.undo(asking), reach / poses.scales.max())
+            met, out = nearest_nodes(source.tree, poses.undo(asking), reach / poses.scales.max())
             beside = poses.apply(source.nodes[met])
             turned = source.normals[met] @ np.swapaxes(poses.rotations, 1, 2)
             place, gap = np.concatenate((place, beside), axis=1), np.concatenate((gap, beside - asking), axis=1)
@@ -305,7 +305,7 @@ def _normal_equations(pairs: Pairs, limits: Float64Array) -> tuple[Float64Array,
     return matrix, right
 
 
-def _nearest(tree: cKDTree, points: Float64Array, reach: float) -> tuple[IntArray, NDArray[np.bool_]]:
+def nearest_nodes(tree: cKDTree, points: Float64Array, reach: float) -> tuple[IntArray, NDArray[np.bool_]]:
     """Nearest nodes of points (…, 3), and which have none within reach; those get the first one."""
     index = np.asarray(tree.query(points, distance_upper_bound=reach)[1])
     far = index == tree.n

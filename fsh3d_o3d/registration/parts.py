@@ -10,6 +10,7 @@ import numpy as np
 from fsh3d_o3d._validation import Float64Array, IntArray
 from fsh3d_o3d.registration.agreement import Agreement, agreement, near_distance
 from fsh3d_o3d.registration.fit import Poses, Side, refine_parts
+from fsh3d_o3d.registration.lattice import distinct
 from fsh3d_o3d.registration.local_poses import local_poses
 from fsh3d_o3d.registration.prepared import Prepared, common_spacing
 from fsh3d_o3d.registration.search import Ambiguity
@@ -157,16 +158,10 @@ class _Pair:
         signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
         return np.asarray(center + (signs * np.sqrt(np.maximum(values, 0))) @ axes.T)
 
-    def distinct(self, poses: Poses, scores: Float64Array, count: int, apart: float = _SAME) -> IntArray:
+    def distinct(self, poses: Poses, scores: Float64Array, count: int) -> IntArray:
         """Indices of the best poses, each of which takes the source elsewhere than all better ones."""
-        moved = poses.apply(self.corners)
-        left = np.argsort(-scores, kind="stable")
-        chosen: list[int] = []
-        while len(left) and len(chosen) < count:
-            chosen.append(int(left[0]))
-            squares = np.sum((moved[left] - moved[left[0]]) ** 2, axis=(1, 2))
-            left = left[squares > moved.shape[1] * (apart * self.spacing) ** 2]
-        return np.array(chosen, dtype=np.intp)
+        order = np.argsort(-scores, kind="stable")
+        return order[distinct(poses.take(order), self.corners, _SAME * self.spacing, count)]
 
     def agreement(self, poses: Poses, samples: int, slack: float = 1.0) -> Agreement:
         return agreement(self.source, self.target, poses, probes=samples, spacing=self.spacing, slack=slack)
@@ -188,7 +183,7 @@ class _Pair:
         found, agreed = found.take(order), agreed.take(order)
         best = self.refined(found.poses.take([0]), *_LAST_FIT)
         poses = Poses.joined(best, found.poses)
-        apart = self.distinct(poses, -np.arange(len(poses), dtype=np.float64), len(poses), _ELSEWHERE)
+        apart = distinct(poses, self.corners, _ELSEWHERE * self.spacing, len(poses))
         slip = Slip.weakest(self.source, self.target, best, probes=_DECIDING, reach=near_distance(self.spacing))
         beside = [slip.applied(best, step * self.spacing) for step in (_STEP, -_STEP)]
         checked = self.agreement(Poses.joined(best, *beside), _DECIDING)

@@ -8,11 +8,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.descriptors import LocalHarmonics, local_harmonics
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry import MeshArrays, PointArrays, Surface, geometry_arrays, voxel_means
+from fsh3d_o3d.geometry import MeshArrays, PointArrays, Surface, voxel_means
+from fsh3d_o3d.registration.finite import finite_arrays
 from fsh3d_o3d.registration.fit import Side
 from fsh3d_o3d.registration.settling import Ground
 from fsh3d_o3d.registration.surface import plain_surface, resolved_surface
@@ -46,13 +46,8 @@ class Prepared:
             TypeError: Not a geometry; the message begins with ``name``.
             GeometryError: Empty, or no finite point; the message begins with ``name``.
         """
-        try:
-            given, dropped = _finite(geometry)
-            return cls(geometry_arrays(given)[0], samples, name, dropped)
-        except GeometryError as error:
-            raise GeometryError(f"{name}: {error}") from None
-        except TypeError as error:
-            raise TypeError(f"{name}: {error}") from None
+        arrays, _, dropped = finite_arrays(geometry, name)
+        return cls(arrays, samples, name, dropped)
 
     @functools.cached_property
     def plain(self) -> Surface:
@@ -155,18 +150,3 @@ def alike(source: Prepared, target: Prepared, scaling: bool) -> bool:
     if scaling:
         one, other = one / one[-1], other / other[-1]
     return bool(np.abs(one - other).max() <= _ALIKE * max(one[-1], other[-1]))
-
-
-def _finite(geometry: Any) -> tuple[Any, int]:
-    """A cloud of Open3D without its points that are not finite, and how many those were."""
-    o3d = open3d()
-    if isinstance(geometry, o3d.geometry.PointCloud):
-        finite = np.isfinite(np.asarray(geometry.points)).all(axis=1)
-        if finite.any() and not finite.all():
-            return geometry.select_by_index(np.flatnonzero(finite).tolist()), int(np.count_nonzero(~finite))
-    if isinstance(geometry, o3d.t.geometry.PointCloud) and "positions" in geometry.point:
-        finite = np.isfinite(geometry.point["positions"].cpu().numpy()).all(axis=1)
-        if finite.any() and not finite.all():
-            kept = geometry.select_by_mask(o3d.core.Tensor(finite, o3d.core.bool, geometry.device))
-            return kept, int(np.count_nonzero(~finite))
-    return geometry, 0

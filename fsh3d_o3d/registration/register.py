@@ -56,8 +56,7 @@ class SphericalRegistrationResult:
     """Share of the source's area that lies on the target, and of the target's that lies on the source."""
     confidence: float
     """In [0, 1]: how far the answer can be trusted. Low where little overlaps, where surfaces stay apart, and where
-    another pose of whole shapes fits as well; of parts it tells that they lie on each other, and ``ambiguity`` whether
-    they do so elsewhere, too."""
+    another pose fits as well (see ``ambiguity``)."""
     ambiguity: Ambiguity
     """``"discrete"``: some other pose fits about as well, as for two-fold symmetry; ``"continuous"``: turning a little
     about some axis changes little, as for vases and balls; ``"sliding"``: moving a little along some direction does,
@@ -123,7 +122,7 @@ def registration_spherical(
 
     Returns:
         The transformation with overlap, confidence and runners-up. Shapes without a unique pose get one that fits, and
-        ``ambiguity`` says so; of whole shapes the confidence is near 0 then.
+        ``ambiguity`` says so; the confidence is near 0 then.
 
     Raises:
         TypeError: Not a geometry, or not an option.

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from fsh3d_o3d import _validation as check
-from fsh3d_o3d._open3d import open3d
 from fsh3d_o3d._validation import Float64Array
 from fsh3d_o3d.errors import GeometryError
-from fsh3d_o3d.geometry import GeometryKind, MeshArrays, PointArrays, area_samples, evenly_thinned, geometry_arrays
+from fsh3d_o3d.geometry import GeometryKind, MeshArrays, PointArrays, area_samples, evenly_thinned
+from fsh3d_o3d.registration.finite import finite_arrays
 
 _FRAME_POINTS = 4096  # spread by area, of which centre and size are taken; a choice
 
@@ -62,12 +62,7 @@ def scan_of(cloud: Any, name: str) -> Scan:
         TypeError: Not a triangle mesh or point cloud; the message begins with ``name``.
         GeometryError: No finite point, or no extent; the message begins with ``name``.
     """
-    try:
-        geometry, kind, dropped = _finite(cloud)
-    except GeometryError as error:
-        raise GeometryError(f"{name}: {error}") from None
-    except TypeError as error:
-        raise TypeError(f"{name}: {error}") from None
+    geometry, kind, dropped = finite_arrays(cloud, name)
     if isinstance(geometry, MeshArrays):
         points = area_samples(geometry, _FRAME_POINTS)[0] if _has_area(geometry) else geometry.used_vertices
     else:
@@ -93,28 +88,6 @@ def viewpoints_of(viewpoints: Any, count: int) -> list[Float64Array | None]:
     if array.shape != (count, 3):
         raise ValueError(f"viewpoints must have shape (3,) or (n, 3) = ({count}, 3), got {array.shape}")
     return list(array)
-
-
-def _finite(cloud: Any) -> tuple[MeshArrays | PointArrays, GeometryKind, int]:
-    """The geometry, its kind, and how many points were left out because they are NaN or infinite."""
-    if isinstance(cloud, np.ndarray) and cloud.ndim == 2 and cloud.dtype.kind == "f":
-        finite = np.isfinite(cloud).all(axis=1)
-        return *geometry_arrays(cloud[finite] if finite.any() else cloud), int(np.count_nonzero(~finite))
-    o3d = open3d()
-    if isinstance(cloud, o3d.geometry.PointCloud):
-        points = np.asarray(cloud.points)
-        finite = np.isfinite(points).all(axis=1)
-        if finite.all():
-            return *geometry_arrays(cloud), 0
-        normals = np.asarray(cloud.normals)[finite] if cloud.has_normals() else None
-        colors = np.asarray(cloud.colors)[finite] if cloud.has_colors() else None
-        return PointArrays(points[finite], normals, colors), "legacy", int(np.count_nonzero(~finite))
-    if isinstance(cloud, o3d.t.geometry.PointCloud) and "positions" in cloud.point:
-        finite = np.isfinite(cloud.point["positions"].cpu().numpy()).all(axis=1)
-        if finite.any() and not finite.all():
-            kept = cloud.select_by_mask(o3d.core.Tensor(finite, device=cloud.device))
-            return *geometry_arrays(kept), int(np.count_nonzero(~finite))
-    return *geometry_arrays(cloud), 0
 
 
 def _has_area(geometry: MeshArrays | PointArrays) -> bool:
