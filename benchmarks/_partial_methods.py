@@ -8,10 +8,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
 import fsh3d_o3d as fsh
+from benchmarks._open3d_peers import fpfh, methods, ransac_on_features, thinned_cloud
 from benchmarks._partial_pairs import PartialPair, Points
 
 _VOXEL = 0.03  # of the model's diagonal; what suits RANSAC best on parts, 0.02 is slower and finds less
@@ -22,8 +22,6 @@ Found = tuple[NDArray[np.float64], float | None]
 """(4, 4) from source to target, and the confidence where there is one."""
 Method = Callable[[Points, Any], Found]
 """Of the source and of what ``TARGETS`` makes of the target."""
-
-methods = o3d.pipelines.registration
 
 
 def ours(source: Points, target: Any) -> Found:
@@ -41,22 +39,8 @@ def prepared_target(pair: PartialPair) -> fsh.SphericalRegistrationTarget:
 
 def ransac(source: Points, target: Any) -> Found:
     """Align by Open3D's FPFH, RANSAC on its matches and closest points, as in its tutorial."""
-    clouds = [_thinned(points, _VOXEL) for points in (source, target)]
-    near = o3d.geometry.KDTreeSearchParamHybrid(5 * _VOXEL, 100)
-    features = [methods.compute_fpfh_feature(cloud, near) for cloud in clouds]
-    found = methods.registration_ransac_based_on_feature_matching(
-        *clouds,
-        *features,
-        True,
-        1.5 * _VOXEL,
-        methods.TransformationEstimationPointToPoint(False),
-        3,
-        [
-            methods.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-            methods.CorrespondenceCheckerBasedOnDistance(1.5 * _VOXEL),
-        ],
-        methods.RANSACConvergenceCriteria(100_000, 0.999),
-    )
+    clouds = [thinned_cloud(points, _VOXEL) for points in (source, target)]
+    found = ransac_on_features(clouds, [fpfh(cloud, _VOXEL) for cloud in clouds], _VOXEL)
     return _closest_points(source, target, found.transformation), None
 
 
@@ -71,17 +55,11 @@ def kiss_matcher(source: Points, target: Any) -> Found:
 
 
 def _closest_points(source: Points, target: Points, start: NDArray[np.float64]) -> NDArray[np.float64]:
-    clouds = [_thinned(points, _VOXEL / 2) for points in (source, target)]
+    clouds = [thinned_cloud(points, _VOXEL / 2) for points in (source, target)]
     for voxels in _ICP_STEPS:
         estimation = methods.TransformationEstimationPointToPlane()
         start = methods.registration_icp(*clouds, voxels * _VOXEL, start, estimation).transformation
     return np.array(start)
-
-
-def _thinned(points: Points, voxel: float) -> Any:
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)).voxel_down_sample(voxel)
-    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(2 * voxel, 30))
-    return cloud
 
 
 def _plain_target(pair: PartialPair) -> Points:

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 import fsh3d_o3d as fsh
 from benchmarks._alignment_pairs import asymmetric_shapes
 from benchmarks._measure import limited
+from benchmarks._open3d_peers import fpfh
 from benchmarks._partial_pairs import Parts, Points, cut, unit_diagonal, views_apart
 from benchmarks._table import Cell, Check, Column, Row, Table
 
@@ -114,8 +115,7 @@ def _ours(cloud: Points, keys: Points, radius: float) -> Any:
 def _fpfh(_: Points, keys: Points, __: float) -> Any:
     thinned = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(keys))
     thinned.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(2 * _VOXEL, 30))
-    near = o3d.geometry.KDTreeSearchParamHybrid(5 * _VOXEL, 100)
-    return o3d.pipelines.registration.compute_fpfh_feature(thinned, near)
+    return fpfh(thinned, _VOXEL)
 
 
 METHODS: dict[str, Callable[[Points, Points, float], Any]] = {"ours": _ours, "FPFH": _fpfh}

@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
 import fsh3d_o3d as fsh
 from benchmarks import registration_partial
 from benchmarks._alignment_pairs import KINDS, Pair, asymmetric_shapes, pairs
 from benchmarks._measure import limited
+from benchmarks._open3d_peers import fpfh, methods, ransac_on_features, thinned_cloud
 from benchmarks._table import Cell, Check, Column, Row, Table
 from fsh3d_o3d.geometry import MeshArrays, PointArrays, area_samples
 
@@ -135,26 +135,13 @@ def _ours(pair: Pair, *, polish: bool) -> NDArray[np.float64]:
 
 def _peer(pair: Pair, *, fast: bool, polish: bool) -> NDArray[np.float64]:
     voxel = _VOXEL * pair.source.diagonal
-    methods = o3d.pipelines.registration
     first, second = _described(pair.source, 1.0, voxel), _described(pair.target, pair.scale, voxel)
     clouds, features = zip(first, second, strict=True)
     if fast:
         limit = methods.FastGlobalRegistrationOption(maximum_correspondence_distance=0.5 * voxel)
         found = methods.registration_fgr_based_on_feature_matching(*clouds, *features, limit)
     else:
-        found = methods.registration_ransac_based_on_feature_matching(
-            *clouds,
-            *features,
-            True,
-            1.5 * voxel,
-            methods.TransformationEstimationPointToPoint(False),
-            3,
-            [
-                methods.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-                methods.CorrespondenceCheckerBasedOnDistance(1.5 * voxel),
-            ],
-            methods.RANSACConvergenceCriteria(100_000, 0.999),
-        )
+        found = ransac_on_features(clouds, features, voxel)
     if polish:
         found = methods.registration_icp(
             *clouds, 1.5 * voxel, found.transformation, methods.TransformationEstimationPointToPlane()
@@ -164,10 +151,8 @@ def _peer(pair: Pair, *, fast: bool, polish: bool) -> NDArray[np.float64]:
 
 def _described(geometry: MeshArrays | PointArrays, scale: float, voxel: float) -> tuple[Any, Any]:
     points = area_samples(geometry, _PEER_POINTS)[0] if isinstance(geometry, MeshArrays) else geometry.points
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points / scale)).voxel_down_sample(voxel)
-    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(2 * voxel, 30))
-    near = o3d.geometry.KDTreeSearchParamHybrid(5 * voxel, 100)
-    return cloud, o3d.pipelines.registration.compute_fpfh_feature(cloud, near)
+    cloud = thinned_cloud(points / scale, voxel)
+    return cloud, fpfh(cloud, voxel)
 
 
 OURS: dict[str, Method] = {

@@ -43,7 +43,7 @@ def _finite(geometry: Any) -> tuple[Any, int]:
     if finite.all():
         return geometry, 0
     if not finite.any():
-        raise GeometryError(f"there are no points that are finite: all {len(finite)} are NaN or infinite")
+        raise GeometryError(f"there are no points that are finite: all {len(points)} are NaN or infinite")
     dropped = int(np.count_nonzero(~finite))
     if isinstance(geometry, np.ndarray):
         return geometry[finite], dropped
